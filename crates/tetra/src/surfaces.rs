@@ -4,7 +4,8 @@
 //! numbered in the order in which triangles first name them.
 
 use rustc_hash::FxHashMap;
-use sightline_scene::Scene;
+use sightline_scene::topology::Solids;
+use sightline_scene::{Scene, SceneError};
 
 /// Triangles over distinct points.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -14,8 +15,19 @@ pub struct Surfaces {
     /// The corners of each triangle, in id order and in the file's winding. A triangle without area keeps its
     /// place.
     pub triangles: Vec<[u32; 3]>,
-    /// What each triangle does ([`FLAT`], [`BLOCKS`], [`SHOWS`]).
+    /// What each triangle does ([`FLAT`], [`BLOCKS`], [`SHOWS`], [`CLOSED`]).
     pub flags: Vec<u8>,
+}
+
+/// The lists of [`Surfaces`], wherever they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SurfacesView<'a> {
+    /// As [`Surfaces::points`].
+    pub points: &'a [[f32; 3]],
+    /// As [`Surfaces::triangles`].
+    pub triangles: &'a [[u32; 3]],
+    /// As [`Surfaces::flags`].
+    pub flags: &'a [u8],
 }
 
 /// The triangle has no area: it neither blocks nor shows.
@@ -24,10 +36,22 @@ pub const FLAT: u8 = 1;
 pub const BLOCKS: u8 = 2;
 /// The triangle can be seen.
 pub const SHOWS: u8 = 4;
+/// The triangle blocks and belongs to a closed surface ([`Solids`]). Where the normals of such a surface point
+/// out it bounds a solid, and where they point in it bounds a cavity.
+pub const CLOSED: u8 = 8;
 
 impl Surfaces {
+    /// The lists.
+    pub fn view(&self) -> SurfacesView<'_> {
+        SurfacesView { points: &self.points, triangles: &self.triangles, flags: &self.flags }
+    }
+
     /// The triangles of a scene.
-    pub fn new(scene: &Scene) -> Self {
+    ///
+    /// # Errors
+    /// As [`Solids::of`], for a scene with too many triangles.
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        let solids = Solids::of(scene)?;
         let mut numbers: FxHashMap<[u32; 3], u32> = FxHashMap::default();
         let mut points = Vec::new();
         let mut flags = Vec::with_capacity(scene.triangles().len());
@@ -45,8 +69,9 @@ impl Surfaces {
             let blocks = !flat && scene.blocks(id);
             let shows = !flat && scene.shows(id);
             let flag = |set: bool, flag: u8| if set { flag } else { 0 };
-            flags.push(flag(flat, FLAT) | flag(blocks, BLOCKS) | flag(shows, SHOWS));
+            let closed = blocks && solids.outward(id).is_some();
+            flags.push(flag(flat, FLAT) | flag(blocks, BLOCKS) | flag(shows, SHOWS) | flag(closed, CLOSED));
         }
-        Self { points, triangles, flags }
+        Ok(Self { points, triangles, flags })
     }
 }

@@ -5,9 +5,13 @@
 use glam::Vec3;
 use proptest::prelude::*;
 use sightline_scene::exact::collinear;
+use sightline_tetra::Quiet;
 use sightline_tetra::cells::{Cells, Counts, NONE, Tetrahedra, cells};
 use sightline_tetra::check::{Fault, check};
-use sightline_tetra::surfaces::{BLOCKS, FLAT, Surfaces};
+use sightline_tetra::file::Contents;
+use sightline_tetra::look::Boxes;
+use sightline_tetra::surfaces::{BLOCKS, CLOSED, FLAT, Surfaces};
+use sightline_tetra::windings::windings;
 
 const DIGEST: [u8; 32] = [11; 32];
 
@@ -62,13 +66,20 @@ fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
 fn built(surfaces: &Surfaces) -> (Cells, Counts) {
     let (points, tetrahedra, neighbours) = box_of(surfaces);
     let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
-    cells(surfaces, &all).unwrap()
+    cells(surfaces, &all, &Quiet).unwrap()
+}
+
+/// What the checker says.
+fn checked(surfaces: &Surfaces, cells: &Cells, windings: &[i32]) -> Result<(), Fault> {
+    let (surfaces, cells) = (surfaces.view(), cells.view());
+    check(&Contents { digest: DIGEST, surfaces, cells, windings, boxes: Boxes::default() })
 }
 
 fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
     let surfaces = surfaces(triangles);
     let (cells, counts) = built(&surfaces);
-    assert_eq!(check(&cells, &surfaces, &DIGEST), Ok(()));
+    let around = windings(surfaces.view(), cells.view());
+    assert_eq!(checked(&surfaces, &cells, &around), Ok(()));
     (cells, counts)
 }
 
@@ -91,7 +102,7 @@ const CROSS: [[[f32; 3]; 3]; 3] = [
 #[test]
 fn one_triangle_is_covered() {
     let (cells, counts) = passes(&CROSS[..1]);
-    assert!(counts.cut > 0 && cells.cell_count() > 6);
+    assert!(counts.cut > 0 && cells.view().cell_count() > 6);
     assert!(cells.triangles.iter().all(|id| *id == 0));
 }
 
@@ -99,9 +110,9 @@ fn one_triangle_is_covered() {
 fn crossing_and_overlapping_triangles_pass() {
     let (cells, _) = passes(&CROSS);
     // What the small triangle covers, the large one does, too.
-    let both = (0..cells.face_count()).filter(|f| cells.face_triangles(*f) == [0, 2]).count();
+    let both = (0..cells.view().face_count()).filter(|f| cells.view().face_triangles(*f) == [0, 2]).count();
     assert!(both > 0);
-    assert!((0..cells.face_count()).all(|f| cells.face_triangles(f) != [2]));
+    assert!((0..cells.view().face_count()).all(|f| cells.view().face_triangles(f) != [2]));
 }
 
 #[test]
@@ -109,8 +120,9 @@ fn an_empty_scene_is_the_tetrahedra() {
     let surfaces = surfaces(&[[[0.0; 3], [1.0; 3], [2.0, 0.0, 0.0]]]);
     let surfaces = Surfaces { triangles: vec![], flags: vec![], ..surfaces };
     let (cells, _) = built(&surfaces);
-    assert_eq!((cells.cell_count(), cells.face_count()), (6, 18));
-    assert_eq!(check(&cells, &surfaces, &DIGEST), Ok(()));
+    assert_eq!((cells.view().cell_count(), cells.view().face_count()), (6, 18));
+    let around = windings(surfaces.view(), cells.view());
+    assert_eq!(checked(&surfaces, &cells, &around), Ok(()));
 }
 
 #[test]
@@ -191,13 +203,24 @@ fn a_speck_in_a_large_box_passes() {
 fn every_kind_of_fault_is_found() {
     let surfaces = surfaces(&CROSS);
     let (good, _) = built(&surfaces);
+    let around = windings(surfaces.view(), good.view());
     let fails = |alter: &dyn Fn(&mut Cells)| {
         let mut cells = good.clone();
         alter(&mut cells);
-        check(&cells, &surfaces, &DIGEST).unwrap_err()
+        checked(&surfaces, &cells, &around).unwrap_err()
     };
-    let inner = (0..good.face_count()).find(|f| !good.faces[*f].cells.contains(&NONE)).unwrap();
-    let covered = (0..good.face_count()).find(|f| good.face_triangles(*f) == [0]).unwrap();
+    let inner = (0..good.view().face_count()).find(|f| !good.faces[*f].cells.contains(&NONE)).unwrap();
+    let around_less = |at: usize| {
+        let mut other = around.clone();
+        other[at] -= 1;
+        other
+    };
+    assert!(matches!(checked(&surfaces, &good, &around_less(0)), Err(Fault::Solids(_))));
+    // Where a triangle belongs to a closed surface, the cells beside it cannot both be outside.
+    let mut closed = surfaces.clone();
+    closed.flags[0] |= CLOSED;
+    assert!(matches!(checked(&closed, &good, &around), Err(Fault::Solids(_))));
+    let covered = (0..good.view().face_count()).find(|f| good.view().face_triangles(*f) == [0]).unwrap();
     let start = |f: usize| good.faces[f].loop_start as usize;
     assert_eq!(fails(&|c| c.points[0][0] += 1.0), Fault::Points);
     assert!(matches!(fails(&|c| c.loops[0] = 1 << 30), Fault::Number { .. }));

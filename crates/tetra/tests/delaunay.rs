@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 
 use dashu_int::IBig;
 use proptest::prelude::*;
+use sightline_tetra::Quiet;
 use sightline_tetra::delaunay::{Delaunay, DelaunayError, NONE};
 
 /// Finite numbers as integers times one power of two, and a bound of their bits.
@@ -125,7 +126,7 @@ fn is_brute_force(points: &[[f32; 3]]) {
     assert_eq!(found.len(), d.tetrahedra.len());
     assert_eq!(found, brute_force(&d.points), "{points:?}");
     for seed in 1..4 {
-        assert_eq!(Delaunay::with_seed(points, seed).unwrap(), d, "{points:?}");
+        assert_eq!(Delaunay::with_seed(points, seed, &Quiet).unwrap(), d, "{points:?}");
     }
 }
 
@@ -205,7 +206,7 @@ fn one_sphere() {
     is_brute_force(&cube(2));
     let d = Delaunay::new(&all).unwrap();
     check(&d, &all);
-    assert_eq!(Delaunay::with_seed(&all, 9).unwrap(), d);
+    assert_eq!(Delaunay::with_seed(&all, 9, &Quiet).unwrap(), d);
     for x in [[0.0; 3], [9.0, 0.0, 0.0], [0.1, 0.2, 0.3], [100.0, 1.0, -50.0]] {
         assert!(has_order(&d, x), "{x:?}");
     }
@@ -216,7 +217,7 @@ fn lattice_of_a_thousand() {
     let points = cube(10);
     let d = Delaunay::new(&points).unwrap();
     check(&d, &points);
-    assert_eq!(Delaunay::with_seed(&points, 1).unwrap(), d);
+    assert_eq!(Delaunay::with_seed(&points, 1, &Quiet).unwrap(), d);
     for x in [[4.5; 3], [3.0, 4.0, 5.0], [0.5, 0.0, 7.25], [-30.0, 4.0, 4.0], [4.25, 4.5, 4.125]] {
         assert!(has_order(&d, x), "{x:?}");
     }
@@ -235,7 +236,7 @@ fn lattices_beyond_the_bits_of_f64() {
     points.push([f32::from_bits(1), 1e-30, 5000.1]);
     let d = Delaunay::new(&points).unwrap();
     check(&d, &points);
-    assert_eq!(Delaunay::with_seed(&points, 1).unwrap(), d);
+    assert_eq!(Delaunay::with_seed(&points, 1, &Quiet).unwrap(), d);
     assert!(has_order(&d, [1536.0; 3]));
     let (tiny, huge) = (f32::from_bits(1), 1e38);
     is_brute_force(&[[0.0; 3], [tiny, 0.0, 0.0], [0.0, tiny, 0.0], [0.0, 0.0, tiny], [tiny, tiny, 0.0]]);
@@ -368,7 +369,7 @@ fn times() {
     let mut sets = vec![("lattice".to_owned(), cube(100))];
     for path in std::env::var("DELAUNAY_SCENES").unwrap_or_default().split_whitespace() {
         let scene = sightline_scene::load(std::path::Path::new(path)).unwrap();
-        sets.push((path.to_owned(), sightline_tetra::surfaces::Surfaces::new(&scene).points));
+        sets.push((path.to_owned(), sightline_tetra::surfaces::Surfaces::new(&scene).unwrap().points));
     }
     for (name, points) in sets {
         let start = std::time::Instant::now();

@@ -4,13 +4,16 @@
 
 use proptest::prelude::*;
 use sightline_tetra::cells::{NONE, Tetrahedra, cells};
-use sightline_tetra::file::{Contents, Layout, Section, TetsError, write};
+use sightline_tetra::file::{Layout, Section, TetsError, write};
+use sightline_tetra::look::Hierarchy;
 use sightline_tetra::surfaces::{BLOCKS, SHOWS, Surfaces};
+use sightline_tetra::windings::windings;
+use sightline_tetra::{Built, Quiet, Tets};
 
 const DIGEST: [u8; 32] = [5; 32];
 
 /// One triangle in a box of five tetrahedra.
-fn contents() -> Contents {
+fn built() -> Built {
     let surfaces = Surfaces {
         points: vec![[0.25, 0.25, 0.25], [0.75, 0.25, 0.5], [0.25, 0.75, 0.75]],
         triangles: vec![[0, 1, 2]],
@@ -28,36 +31,38 @@ fn contents() -> Contents {
         [3, 2, 1, 0],
     ];
     let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
-    let (cells, counts) = cells(&surfaces, &all).unwrap();
+    let (cells, counts) = cells(&surfaces, &all, &Quiet).unwrap();
     assert!(counts.cut > 0);
-    Contents { digest: DIGEST, surfaces, cells, hierarchy: vec![1, 2, 3] }
+    let windings = windings(surfaces.view(), cells.view());
+    let hierarchy = Hierarchy::new(surfaces.view());
+    Built { digest: DIGEST, surfaces, cells, windings, hierarchy, tetrahedra: 5, counts }
 }
 
-fn bytes(c: &Contents) -> Vec<u8> {
+fn bytes(built: &Built) -> Vec<u8> {
     let mut out = Vec::new();
-    write(&mut out, &c.digest, &c.surfaces, &c.cells, &c.hierarchy).unwrap();
+    write(&mut out, &built.contents()).unwrap();
     out
 }
 
 #[test]
 fn what_was_written_is_read() {
-    let contents = contents();
-    let file = bytes(&contents);
-    assert_eq!(Contents::read(&file).unwrap(), contents);
+    let built = built();
+    let file = bytes(&built);
+    assert_eq!(Tets::from_bytes(&file).unwrap().contents(), built.contents());
     let layout = Layout::parse(&file).unwrap();
     assert!(Section::ALL.iter().all(|s| layout.range(*s).start.is_multiple_of(8)));
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.tets");
     std::fs::write(&path, &file).unwrap();
-    assert_eq!(Contents::open(&path).unwrap(), contents);
-    assert!(matches!(Contents::open(directory.path().join("b").as_path()), Err(TetsError::Open { .. })));
+    assert_eq!(Tets::open(&path).unwrap().contents(), built.contents());
+    assert!(matches!(Tets::open(directory.path().join("b").as_path()), Err(TetsError::Open { .. })));
 }
 
 #[test]
 fn every_cut_and_every_altered_byte_is_told() {
-    let file = bytes(&contents());
+    let file = bytes(&built());
     for end in 0..file.len() {
-        let error = Contents::read(&file[..end]).unwrap_err();
+        let error = Tets::from_bytes(&file[..end]).unwrap_err();
         let is_told = if end == 0 {
             matches!(error, TetsError::NotTets)
         } else {
@@ -68,15 +73,15 @@ fn every_cut_and_every_altered_byte_is_told() {
     for at in 0..file.len() {
         let mut altered = file.clone();
         altered[at] ^= 0x10;
-        assert!(Contents::read(&altered).is_err(), "byte {at}");
+        assert!(Tets::from_bytes(&altered).is_err(), "byte {at}");
     }
 }
 
 #[test]
 fn another_scene_is_told() {
-    let contents = contents();
-    contents.expect_scene(&DIGEST).unwrap();
-    let error = contents.expect_scene(&[6; 32]).unwrap_err();
+    let built = built();
+    built.contents().expect_scene(&DIGEST).unwrap();
+    let error = built.contents().expect_scene(&[6; 32]).unwrap_err();
     assert!(error.to_string().contains("another scene"), "{error}");
 }
 
@@ -84,23 +89,28 @@ proptest! {
     /// Words altered under a right checksum: whatever is read has numbers that name something.
     #[test]
     fn tampered_numbers_are_refused_or_harmless(
-        list in 0usize..6, at in any::<prop::sample::Index>(), to in any::<u32>(),
+        list in 0usize..10, at in any::<prop::sample::Index>(), to in any::<u32>(),
     ) {
-        let mut contents = contents();
-        let c = &mut contents.cells;
+        let mut built = built();
+        let c = &mut built.cells;
         match list {
             0 => { let i = at.index(c.loops.len()); c.loops[i] = to }
             1 => { let i = at.index(c.faces.len()); c.faces[i].loop_start = to }
             2 => { let i = at.index(c.cells.len()); c.cells[i].faces_start = to }
             3 => { let i = at.index(c.planes.len()); c.planes[i].0[i % 3] = to }
             4 => { let i = at.index(c.cell_faces.len()); c.cell_faces[i] = to }
-            _ => { let i = at.index(c.faces.len()); c.faces[i].cells[i % 2] = to }
+            5 => { let i = at.index(c.faces.len()); c.faces[i].cells[i % 2] = to }
+            6 => { let i = at.index(built.hierarchy.nodes.len()); built.hierarchy.nodes[i].first = to }
+            7 => { let i = at.index(built.hierarchy.nodes.len()); built.hierarchy.nodes[i].count = to }
+            8 => { let i = at.index(built.hierarchy.order.len()); built.hierarchy.order[i] = to }
+            _ => { let i = at.index(built.windings.len()); built.windings[i] = to as i32 }
         }
-        if let Ok(read) = Contents::read(&bytes(&contents)) {
+        if let Ok(read) = Tets::from_bytes(&bytes(&built)) {
             // The checker may find anything, and does not panic.
-            let _ = sightline_tetra::check::check(&read.cells, &read.surfaces, &DIGEST);
-            for f in 0..read.cells.face_count() {
-                read.cells.face_loop(f).iter().for_each(|v| { read.cells.place(*v); });
+            let contents = read.contents();
+            let _ = sightline_tetra::check::check(&contents);
+            for f in 0..contents.cells.face_count() {
+                contents.cells.face_loop(f).iter().for_each(|v| { contents.cells.place(*v); });
             }
         }
     }

@@ -6,6 +6,7 @@ use std::f64::consts::PI;
 
 use glam::Vec3;
 use sightline_scene::{Object, Scene, Triangle};
+use sightline_tetra::Quiet;
 use sightline_tetra::cells::{Tetrahedra, cells};
 use sightline_tetra::delaunay::Delaunay;
 use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Scratch, Seen, Target, View};
@@ -19,10 +20,10 @@ fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
 }
 
 fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) -> Seen {
-    let surfaces = Surfaces::new(&scene(triangles));
-    let hierarchy = Hierarchy::new(&surfaces);
+    let surfaces = Surfaces::new(&scene(triangles)).unwrap();
+    let hierarchy = Hierarchy::new(surfaces.view());
     let mut scratch = Scratch::default();
-    Looker::new(&surfaces, &hierarchy).look(x, view, mode, &mut scratch).unwrap().clone()
+    Looker::new(surfaces.view(), hierarchy.view()).look(x, view, mode, &mut scratch).unwrap().clone()
 }
 
 fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> Seen {
@@ -181,9 +182,9 @@ fn cones_and_distances_limit_the_view() {
 fn shares_of_boxes() {
     // A wall hides the lower half of a box's front.
     let wall = quad([-9.0, -9.0, 1.0], [9.0, -9.0, 1.0], [9.0, 0.0, 1.0], [-9.0, 0.0, 1.0]);
-    let surfaces = Surfaces::new(&scene(&wall));
-    let hierarchy = Hierarchy::new(&surfaces);
-    let looker = Looker::new(&surfaces, &hierarchy);
+    let surfaces = Surfaces::new(&scene(&wall)).unwrap();
+    let hierarchy = Hierarchy::new(surfaces.view());
+    let looker = Looker::new(surfaces.view(), hierarchy.view());
     let mut scratch = Scratch::default();
     let mut share = |low, high| {
         looker.sees([0.0; 3], &Target { low, high }, &View::default(), Mode::Exact, &mut scratch).unwrap()
@@ -205,20 +206,20 @@ fn shares_of_boxes() {
 #[ignore = "a measurement"]
 fn times() {
     let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap())).unwrap();
-    let surfaces = Surfaces::new(&scene);
-    let hierarchy = Hierarchy::new(&surfaces);
+    let surfaces = Surfaces::new(&scene).unwrap();
+    let hierarchy = Hierarchy::new(surfaces.view());
     let start = std::time::Instant::now();
     let Delaunay { points, tetrahedra, neighbours } = &Delaunay::new(&surfaces.points).unwrap();
-    let (cells, counts) = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }).unwrap();
+    let (cells, counts) = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }, &Quiet).unwrap();
     println!(
         "{} triangles, {} tetrahedra, {} cells, {:?}, {:.1} s",
         surfaces.triangles.len(),
         tetrahedra.len(),
-        cells.cell_count(),
+        cells.view().cell_count(),
         counts,
         start.elapsed().as_secs_f64()
     );
-    let looker = Looker::with_cells(&surfaces, &hierarchy, &cells);
+    let looker = Looker::with_cells(surfaces.view(), hierarchy.view(), cells.view());
     let mut scratch = Scratch::default();
     let bounds = scene.bounds();
     let (low, high) = (bounds.min.as_dvec3(), bounds.max.as_dvec3());

@@ -8,19 +8,13 @@ use std::f64::consts::PI;
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_tetra::cells::{Cells, Tetrahedra, cells};
 use sightline_tetra::check::check as check_cells;
-use sightline_tetra::delaunay::Delaunay;
-use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Node, Scratch, Seen, Target, View};
-use sightline_tetra::surfaces::Surfaces;
+use sightline_tetra::look::{Engine, Looker, Mode, Node, Scratch, Seen, Target, View};
+use sightline_tetra::{Built, Quiet, build};
 
 type T = [[f32; 3]; 3];
 
-struct World {
-    surfaces: Surfaces,
-    hierarchy: Hierarchy,
-    cells: Cells,
-}
+struct World(Built);
 
 impl World {
     fn new(triangles: &[T]) -> Self {
@@ -28,11 +22,7 @@ impl World {
             triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
         let count = triangles.len() as u32;
         let object = Object { name: "all".into(), first: 0, count };
-        let surfaces = Surfaces::new(&Scene::new("test", triangles, vec![object]).unwrap());
-        let hierarchy = Hierarchy::new(&surfaces);
-        let Delaunay { points, tetrahedra, neighbours } = &Delaunay::new(&surfaces.points).unwrap();
-        let cells = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }).unwrap().0;
-        Self { surfaces, hierarchy, cells }
+        Self(build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap())
     }
 
     fn look(&self, x: [f64; 3], mode: Mode) -> Seen {
@@ -42,13 +32,13 @@ impl World {
     fn look_by(&self, engine: Engine, x: [f64; 3], mode: Mode) -> Seen {
         let view = View { witnesses: true, engine, ..View::default() };
         let mut scratch = Scratch::default();
-        let looker = Looker::with_cells(&self.surfaces, &self.hierarchy, &self.cells);
+        let looker = Looker::with_cells(self.0.surfaces.view(), self.0.hierarchy.view(), self.0.cells.view());
         looker.look(x, &view, mode, &mut scratch).unwrap().clone()
     }
 
     fn sees(&self, x: [f64; 3], target: &Target, mode: Mode) -> f64 {
         let mut scratch = Scratch::default();
-        Looker::new(&self.surfaces, &self.hierarchy)
+        Looker::new(self.0.surfaces.view(), self.0.hierarchy.view())
             .sees(x, target, &View::default(), mode, &mut scratch)
             .unwrap()
     }
@@ -137,7 +127,7 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
         }
     }
     let cells = world.look_by(Engine::Cells, x, Mode::Exact);
-    prop_assert_eq!(check_cells(&world.cells, &world.surfaces, &[7; 32]), Ok(()));
+    prop_assert_eq!(check_cells(&world.0.contents()), Ok(()));
     prop_assert_eq!(&exact.visible, &cells.visible, "boxes and cells differ");
     for (a, b) in exact.areas.iter().zip(&cells.areas) {
         prop_assert!((a - b).abs() < 1e-11, "{} and {}", a, b);
@@ -226,10 +216,10 @@ proptest! {
         let seen = world.look(x, Mode::Exact);
         let few = world.look(x, Mode::Conservative(0.05));
         // All triangles in one box: none is left out.
-        let all = world.hierarchy.nodes.first().copied();
+        let all = world.0.hierarchy.nodes.first().copied();
         if let Some(all) = all {
-            let count = world.hierarchy.order.len() as u32;
-            world.hierarchy.nodes = vec![Node { first: 0, count, ..all }];
+            let count = world.0.hierarchy.order.len() as u32;
+            world.0.hierarchy.nodes = vec![Node { first: 0, count, ..all }];
         }
         prop_assert_eq!(&seen.visible, &world.look(x, Mode::Exact).visible);
         prop_assert_eq!(&seen.visible, &world.look_by(Engine::Cells, x, Mode::Exact).visible);

@@ -36,6 +36,9 @@ pub enum CellsError {
     /// More of something than 32 bits can number.
     #[error("the cells have more {0} than 32 bits can number; divide the scene")]
     TooMany(&'static str),
+    /// There is not enough memory.
+    #[error("{0}")]
+    Memory(String),
 }
 
 impl Tetrahedra<'_> {

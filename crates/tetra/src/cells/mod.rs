@@ -21,4 +21,4 @@ pub mod result;
 pub use build::cells;
 pub use input::{CellsError, Tetrahedra};
 pub use planes::{NONE, Plane};
-pub use result::{CellRecord, Cells, Counts, FaceRecord};
+pub use result::{CellRecord, Cells, CellsView, Counts, FaceRecord};

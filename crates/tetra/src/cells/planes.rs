@@ -19,7 +19,8 @@ pub const NONE: u32 = u32::MAX;
 /// In front of the plane through a, b and c is what sees them turn counter-clockwise. In front of the plane
 /// through a and b along an axis is where (b − a) × axis points to. An axis x, y, z is written in place of
 /// the third point as `AXIS`, `AXIS` + 1, `AXIS` + 2.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(transparent)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Plane(pub [u32; 3]);
 
 impl Plane {
@@ -58,6 +59,22 @@ impl Plane {
             return Ordering::Equal;
         }
         self.side(points, points[point as usize])
+    }
+
+    /// The sign of a coordinate of the normal: `Greater` where the front is towards larger coordinates.
+    pub fn normal_sign(self, points: &[[f32; 3]], axis: usize) -> Ordering {
+        let [a, b] = [self.0[0], self.0[1]].map(|n| points[n as usize]);
+        let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+        match self.axis() {
+            None => {
+                let flat = |p: [f32; 3]| [p[next], p[last]];
+                orient2d_sign(flat(a), flat(b), flat(points[self.0[2] as usize]))
+            }
+            // (b − a) × axis.
+            Some(own) if own == last => b[next].partial_cmp(&a[next]).unwrap_or(Ordering::Equal),
+            Some(own) if own == next => a[last].partial_cmp(&b[last]).unwrap_or(Ordering::Equal),
+            Some(_) => Ordering::Equal,
+        }
     }
 
     /// Whether an axis is parallel to the plane.
@@ -190,5 +207,17 @@ mod tests {
         // x × y = z, and y × x = −z.
         assert_eq!(Plane::along([0, 1], 1).side(&points, [0.0, 0.0, 1.0]), Ordering::Greater);
         assert_eq!(Plane::along([0, 2], 0).side(&points, [0.0, 0.0, 1.0]), Ordering::Less);
+        let planes = [Plane([0, 1, 2]), Plane([2, 1, 0]), Plane::along([0, 1], 2), Plane::along([0, 1], 1)];
+        for plane in planes.into_iter().chain([Plane::along([0, 2], 0), Plane::along([1, 2], 2)]) {
+            for axis in 0..3 {
+                let step = |by: f32| {
+                    let mut p = points[plane.0[0] as usize];
+                    p[axis] += by;
+                    plane.side(&points, p)
+                };
+                assert_eq!(plane.normal_sign(&points, axis), step(1.0), "{plane:?} {axis}");
+                assert_eq!(plane.normal_sign(&points, axis), step(-1.0).reverse(), "{plane:?} {axis}");
+            }
+        }
     }
 }

@@ -32,7 +32,7 @@ pub struct Cells {
 
 /// A convex face.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct FaceRecord {
     /// Its plane.
     pub plane: u32,
@@ -46,7 +46,7 @@ pub struct FaceRecord {
 
 /// A convex cell.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct CellRecord {
     /// The tetrahedron that it is a part of.
     pub tetrahedron: u32,
@@ -67,7 +67,30 @@ pub struct Counts {
     pub cut: u32,
 }
 
-impl Cells {
+/// The lists of [`Cells`], wherever they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CellsView<'a> {
+    /// As [`Cells::points`].
+    pub points: &'a [[f32; 3]],
+    /// As [`Cells::planes`].
+    pub planes: &'a [Plane],
+    /// As [`Cells::meets`].
+    pub meets: &'a [[u32; 3]],
+    /// As [`Cells::rounded`].
+    pub rounded: &'a [[f64; 3]],
+    /// As [`Cells::faces`].
+    pub faces: &'a [FaceRecord],
+    /// As [`Cells::loops`].
+    pub loops: &'a [u32],
+    /// As [`Cells::triangles`].
+    pub triangles: &'a [u32],
+    /// As [`Cells::cells`].
+    pub cells: &'a [CellRecord],
+    /// As [`Cells::cell_faces`].
+    pub cell_faces: &'a [u32],
+}
+
+impl<'a> CellsView<'a> {
     /// The number of faces.
     pub fn face_count(&self) -> usize {
         self.faces.len().saturating_sub(1)
@@ -79,19 +102,19 @@ impl Cells {
     }
 
     /// The vertices of a face, which must be below [`Self::face_count`].
-    pub fn face_loop(&self, face: usize) -> &[u32] {
+    pub fn face_loop(&self, face: usize) -> &'a [u32] {
         &self.loops[self.faces[face].loop_start as usize..self.faces[face + 1].loop_start as usize]
     }
 
     /// The triangles that cover a face, which must be below [`Self::face_count`].
-    pub fn face_triangles(&self, face: usize) -> &[u32] {
+    pub fn face_triangles(&self, face: usize) -> &'a [u32] {
         let range = self.faces[face].triangles_start as usize..self.faces[face + 1].triangles_start as usize;
         &self.triangles[range]
     }
 
     /// The faces of a cell, which must be below [`Self::cell_count`]: face times two, plus one where the cell
     /// is behind.
-    pub fn faces_of(&self, cell: usize) -> &[u32] {
+    pub fn faces_of(&self, cell: usize) -> &'a [u32] {
         let range = self.cells[cell].faces_start as usize..self.cells[cell + 1].faces_start as usize;
         &self.cell_faces[range]
     }
@@ -101,6 +124,23 @@ impl Cells {
         match self.points.get(vertex as usize) {
             Some(point) => point.map(f64::from),
             None => self.rounded[vertex as usize - self.points.len()],
+        }
+    }
+}
+
+impl Cells {
+    /// The lists.
+    pub fn view(&self) -> CellsView<'_> {
+        CellsView {
+            points: &self.points,
+            planes: &self.planes,
+            meets: &self.meets,
+            rounded: &self.rounded,
+            faces: &self.faces,
+            loops: &self.loops,
+            triangles: &self.triangles,
+            cells: &self.cells,
+            cell_faces: &self.cell_faces,
         }
     }
 

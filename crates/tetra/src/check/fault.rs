@@ -35,6 +35,9 @@ pub enum Fault {
     /// A face is not listed once in front of one cell and once behind another.
     #[error("face {0} is not listed once by each of its two cells; build it again")]
     Sides(u32),
+    /// The solids around the cells of a face are not those that begin or end in it.
+    #[error("the solids around the cells of face {0} do not agree with its triangles; build it again")]
+    Solids(u32),
     /// A face without a second cell is not on the box.
     #[error("face {0} has one cell and is not on the box; build it again")]
     Border(u32),

@@ -3,17 +3,17 @@
 use dashu_int::IBig;
 use sightline_scene::exact::dyadic;
 
-use crate::cells::{Cells, Plane};
+use crate::cells::{CellsView, Plane};
 
 /// Points as integers, all in the same unit.
 pub(super) struct Integers<'a> {
-    cells: &'a Cells,
+    cells: CellsView<'a>,
     /// The unit is two to this power.
     pub least: i32,
 }
 
 impl<'a> Integers<'a> {
-    pub fn new(cells: &'a Cells) -> Self {
+    pub fn new(cells: CellsView<'a>) -> Self {
         let parts = cells.points.as_flattened().iter().map(|x| dyadic(f64::from(*x)));
         let least = parts.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
         Self { cells, least }

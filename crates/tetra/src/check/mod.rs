@@ -2,7 +2,8 @@
 //!
 //! What is checked with exact signs: each face lies in its plane, is convex and turns counter-clockwise; all
 //! vertices of a cell are on its side of each of its faces, some off it; each face is listed once in front of
-//! one cell and once behind another, but for those on the box; each face that names a triangle lies in it.
+//! one cell and once behind another, but for those on the box; each face that names a triangle lies in it;
+//! from cell to cell the number of solids changes by those that begin or end between them.
 //! What is checked modulo two primes: the edges of a cell's faces cancel on each line; volumes add up to the
 //! box's, and the areas of a triangle's faces to the triangle's.
 //!
@@ -22,18 +23,20 @@ use dashu_int::IBig;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use crate::cells::{Cells, NONE};
-use crate::surfaces::Surfaces;
+use crate::cells::{CellsView, NONE};
+use crate::file::Contents;
+use crate::surfaces::{CLOSED, SurfacesView};
 
 pub use fault::Fault;
 use integers::{Integers, det3, main_axis, side, sign};
 use residues::{Both, Field, Place};
 
-/// Checks cells against the surfaces of the scene with this digest.
+/// Checks the cells of a file against its surfaces, and the solids around cells.
 ///
 /// # Errors
 /// The first [`Fault`].
-pub fn check(cells: &Cells, surfaces: &Surfaces, digest: &[u8; 32]) -> Result<(), Fault> {
+pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
+    let Contents { cells, surfaces, windings, ref digest, .. } = *contents;
     structure::check(cells, surfaces)?;
     let checker = Checker {
         cells,
@@ -47,6 +50,7 @@ pub fn check(cells: &Cells, surfaces: &Surfaces, digest: &[u8; 32]) -> Result<()
         if main_axis(&plane).1 == 0 { Err(Fault::Plane(i)) } else { Ok(()) }
     })?;
     first((0..cells.face_count()).into_par_iter(), |i| checker.face(i as u32))?;
+    first((0..cells.face_count()).into_par_iter(), |i| checker.solids(i as u32, windings))?;
     let volumes: Vec<Result<Both, Fault>> =
         (0..cells.cell_count()).into_par_iter().map(|i| checker.cell(i as u32)).collect();
     let mut sum = Both::default();
@@ -68,8 +72,8 @@ fn first(
 }
 
 struct Checker<'a> {
-    cells: &'a Cells,
-    surfaces: &'a Surfaces,
+    cells: CellsView<'a>,
+    surfaces: SurfacesView<'a>,
     integers: Integers<'a>,
     field: Field,
     /// A point of the input at the least corner of the box, and one at the greatest.
@@ -135,6 +139,33 @@ impl Checker<'_> {
                 loops.iter().all(|v| side(&edge, v) * inner >= 0)
             });
         if is_in { Ok(()) } else { Err(Fault::NotOf { face, triangle }) }
+    }
+
+    /// The solids that hold the two cells of a face differ by those that begin or end in it; outside of the box
+    /// there are none.
+    fn solids(&self, face: u32, windings: &[i32]) -> Result<(), Fault> {
+        let record = self.cells.faces[face as usize];
+        let [front, behind] = record.cells.map(|cell| match cell {
+            NONE => Some(0),
+            cell => windings.get(cell as usize).map(|w| i64::from(*w)),
+        });
+        let plane = self.integers.plane(self.cells.planes[record.plane as usize]);
+        let closed = |id: &&u32| self.surfaces.flags[**id as usize] & CLOSED != 0;
+        let begin: i64 = self
+            .cells
+            .face_triangles(face as usize)
+            .iter()
+            .filter(closed)
+            .map(|id| {
+                let own = self.integers.through(self.surfaces.triangles[*id as usize]);
+                let along = &own[0] * &plane[0] + &own[1] * &plane[1] + &own[2] * &plane[2];
+                i64::from(sign(&along))
+            })
+            .sum();
+        match (front, behind) {
+            (Some(front), Some(behind)) if behind == front + begin => Ok(()),
+            _ => Err(Fault::Solids(face)),
+        }
     }
 
     /// Six times the volume of a cell, after all checks of its signs.

@@ -1,12 +1,12 @@
 //! That every number in the lists names something, and that faces and cells list each other.
 
-use crate::cells::{Cells, NONE, Plane};
-use crate::surfaces::Surfaces;
+use crate::cells::{CellsView, NONE, Plane};
+use crate::surfaces::SurfacesView;
 
 use super::fault::Fault;
 
 /// Checks all lists.
-pub(crate) fn check(cells: &Cells, surfaces: &Surfaces) -> Result<(), Fault> {
+pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<(), Fault> {
     let n = surfaces.points.len();
     if cells.points.len() != n + 8 || cells.points[..n] != surfaces.points[..] || !is_box(cells, n) {
         return Err(Fault::Points);
@@ -58,7 +58,7 @@ pub(crate) fn check(cells: &Cells, surfaces: &Surfaces) -> Result<(), Fault> {
 }
 
 /// Each face is listed once by each of its cells, on the side it names it.
-fn sides(cells: &Cells, faces: usize, count: usize) -> Result<(), Fault> {
+fn sides(cells: CellsView<'_>, faces: usize, count: usize) -> Result<(), Fault> {
     let mut listed = vec![0u8; faces];
     for cell in 0..count {
         for f in cells.faces_of(cell) {
@@ -80,7 +80,7 @@ fn sides(cells: &Cells, faces: usize, count: usize) -> Result<(), Fault> {
 }
 
 /// Points of the input at the least and the greatest corner of the box.
-pub(super) fn bounds(cells: &Cells) -> [u32; 2] {
+pub(super) fn bounds(cells: CellsView<'_>) -> [u32; 2] {
     let n = cells.points.len() - 8;
     // The corner that no other is below, or above, in any coordinate.
     let corner = |is_ordered: fn(&f32, &f32) -> bool| {
@@ -94,7 +94,7 @@ pub(super) fn bounds(cells: &Cells) -> [u32; 2] {
 }
 
 /// The last eight points are the corners of a box with a volume that holds the others.
-fn is_box(cells: &Cells, n: usize) -> bool {
+fn is_box(cells: CellsView<'_>, n: usize) -> bool {
     let corners = &cells.points[n..];
     let fold =
         |i: usize, pick: fn(f32, f32) -> f32, start: f32| corners.iter().map(|p| p[i]).fold(start, pick);

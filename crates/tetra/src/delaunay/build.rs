@@ -5,6 +5,12 @@ use super::enclosure::corners;
 use super::error::DelaunayError;
 use super::mesh::{Cell, MOST_POINTS, Mesh, NONE};
 use super::predicates::Predicates;
+use crate::watch::{Quiet, Stage, Watch};
+
+/// Memory that the tetrahedra of a scene's points take: about 8 a point, with 110 bytes each.
+const BYTES_A_POINT: u64 = 880;
+/// Points between two calls that tell how far it is.
+const TELL_EVERY: u64 = 4096;
 
 /// Delaunay tetrahedra of distinct points and a box around them. They fill the box, and none is flat.
 ///
@@ -37,7 +43,16 @@ impl Delaunay {
     /// Points that are not finite or not distinct, that leave no room for the box in `f32`, or that are too
     /// many.
     pub fn new(points: &[[f32; 3]]) -> Result<Self, DelaunayError> {
-        Self::with_seed(points, 0)
+        Self::with_seed(points, 0, &Quiet)
+    }
+
+    /// [`Self::new`] with somebody who follows it.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Self::new`], and [`DelaunayError::Memory`].
+    pub fn watched(points: &[[f32; 3]], watch: &dyn Watch) -> Result<Self, DelaunayError> {
+        Self::with_seed(points, 0, watch)
     }
 
     /// [`Self::new`] with another order of insertion. The result is the same for every seed: tests show it.
@@ -45,13 +60,14 @@ impl Delaunay {
     /// # Errors
     ///
     /// Those of [`Self::new`].
-    pub fn with_seed(points: &[[f32; 3]], seed: u64) -> Result<Self, DelaunayError> {
+    pub fn with_seed(points: &[[f32; 3]], seed: u64, watch: &dyn Watch) -> Result<Self, DelaunayError> {
         if points.len() > MOST_POINTS {
             return Err(DelaunayError::TooManyPoints { points: points.len(), most: MOST_POINTS });
         }
         if let Some(index) = points.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
             return Err(DelaunayError::NotFinite { index, point: points[index] });
         }
+        watch.needs(points.len() as u64 * BYTES_A_POINT).map_err(DelaunayError::Memory)?;
         let corners = corners(points)?;
         let curve = Curve::new(corners[0], corners[7]);
         let order = insertion_order(points, &curve, seed);
@@ -61,7 +77,10 @@ impl Delaunay {
         let (cells, alive) = {
             let predicates = Predicates::new(&all);
             let mut mesh = Mesh::of_box(&predicates, points.len() as u32);
-            for number in order {
+            for (done, number) in (0..).zip(order) {
+                if done % TELL_EVERY == 0 {
+                    watch.done(Stage::Points, done, points.len() as u64);
+                }
                 mesh.insert(number).map_err(|refusal| refusal.of(number, points[number as usize]))?;
             }
             mesh.into_cells()

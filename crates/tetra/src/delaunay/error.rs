@@ -42,4 +42,7 @@ pub enum DelaunayError {
     /// More tetrahedra than numbers. Points on few curves can have about the square of their number.
     #[error("the points have more than 4294967294 tetrahedra; divide the scene")]
     TooManyTetrahedra,
+    /// There is not enough memory.
+    #[error("{0}")]
+    Memory(String),
 }

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | 0 | 8 | `89 54 45 54 0d 0a 1a 0a`, which transfers that change line ends or clear the eighth bit alter |
 //! | 8 | 4 | version: 1 |
-//! | 12 | 4 | number of sections S: 12 |
+//! | 12 | 4 | number of sections S: 14 |
 //! | 16 | 8 | length of the file |
 //! | 24 | 32 | digest of the scene |
 //! | 56 | 4 | CRC-32C of bytes 0…55 and of the section table |
@@ -24,7 +24,7 @@ pub const VERSION: u32 = 1;
 const MAGIC: [u8; 8] = *b"\x89TET\r\n\x1a\n";
 const CRC_AT: usize = 56;
 const TABLE_AT: usize = 64;
-const SECTIONS: usize = 12;
+const SECTIONS: usize = 14;
 const HEADER: usize = TABLE_AT + SECTIONS * 24;
 
 /// The sections in the order of the file.
@@ -52,8 +52,13 @@ pub enum Section {
     Cells,
     /// A u32 for each face of each cell.
     CellFaces,
-    /// Bytes that this module does not read; may be empty.
-    Hierarchy,
+    /// An i32 a cell: how many closed solids hold it.
+    Windings,
+    /// 32 bytes a box: least corner (three f32), first child or triangle (u32), greatest corner (three f32),
+    /// number of triangles (u32).
+    Boxes,
+    /// A u32 for each triangle that blocks or shows: those of a box together.
+    Order,
 }
 
 impl Section {
@@ -70,7 +75,9 @@ impl Section {
         Self::Covers,
         Self::Cells,
         Self::CellFaces,
-        Self::Hierarchy,
+        Self::Windings,
+        Self::Boxes,
+        Self::Order,
     ];
 
     /// Its name in messages.
@@ -87,7 +94,9 @@ impl Section {
             Self::Covers => "triangles of faces",
             Self::Cells => "cells",
             Self::CellFaces => "faces of cells",
-            Self::Hierarchy => "hierarchy",
+            Self::Windings => "solids around cells",
+            Self::Boxes => "boxes",
+            Self::Order => "triangles of boxes",
         }
     }
 
@@ -98,8 +107,9 @@ impl Section {
             Self::Rounded => 24,
             Self::Faces => 20,
             Self::Cells => 8,
-            Self::Loops | Self::Covers | Self::CellFaces => 4,
-            Self::Flags | Self::Hierarchy => 1,
+            Self::Loops | Self::Covers | Self::CellFaces | Self::Windings | Self::Order => 4,
+            Self::Boxes => 32,
+            Self::Flags => 1,
         }
     }
 

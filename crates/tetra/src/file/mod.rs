@@ -1,11 +1,14 @@
-//! The file format `.tets`: surfaces and their cells in flat arrays, under checksums.
+//! The file format `.tets`: surfaces, the cells between them and boxes over them, in flat arrays under
+//! checksums that are read in place.
 
+mod contents;
 mod error;
 mod layout;
-mod read;
+mod tets;
 mod write;
 
+pub use contents::Contents;
 pub use error::TetsError;
 pub use layout::{Layout, Section, VERSION};
-pub use read::Contents;
+pub use tets::Tets;
 pub use write::write;

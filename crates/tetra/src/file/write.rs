@@ -2,63 +2,49 @@
 
 use std::io::Write;
 
-use crate::cells::Cells;
-use crate::surfaces::Surfaces;
+use bytemuck::cast_slice;
 
+use super::contents::Contents;
 use super::error::TetsError;
 use super::layout::{Section, header};
 
-/// Writes surfaces and their cells, with the digest of their scene and the bytes of a hierarchy.
+/// Writes a file.
 ///
 /// # Errors
 /// [`TetsError::Write`].
-pub fn write(
-    to: &mut impl Write,
-    digest: &[u8; 32],
-    surfaces: &Surfaces,
-    cells: &Cells,
-    hierarchy: &[u8],
-) -> Result<(), TetsError> {
-    // Each section is made twice, for its checksum and for the file: less memory than all at once.
-    let part = |section| bytes(section, surfaces, cells, hierarchy);
+pub fn write(to: &mut dyn Write, contents: &Contents<'_>) -> Result<(), TetsError> {
     let sections = Section::ALL.map(|section| {
-        let bytes = part(section);
-        (crc32c::crc32c(&bytes), bytes.len() as u64)
+        let bytes = bytes(section, contents);
+        (crc32c::crc32c(bytes), bytes.len() as u64)
     });
-    let header = header(digest, &sections);
+    let header = header(&contents.digest, &sections);
     to.write_all(&header).map_err(TetsError::Write)?;
     let mut at = header.len();
     for section in Section::ALL {
-        let bytes = part(section);
+        let bytes = bytes(section, contents);
         let gap = at.next_multiple_of(8) - at;
-        to.write_all(&[0; 8][..gap]).and_then(|()| to.write_all(&bytes)).map_err(TetsError::Write)?;
+        to.write_all(&[0; 8][..gap]).and_then(|()| to.write_all(bytes)).map_err(TetsError::Write)?;
         at += gap + bytes.len();
     }
     Ok(())
 }
 
-fn bytes(section: Section, surfaces: &Surfaces, cells: &Cells, hierarchy: &[u8]) -> Vec<u8> {
-    let words = |words: &[u32]| words.iter().flat_map(|w| w.to_le_bytes()).collect();
+fn bytes<'a>(section: Section, contents: &Contents<'a>) -> &'a [u8] {
+    let Contents { surfaces, cells, windings, boxes, .. } = *contents;
     match section {
-        Section::Points => cells.points.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect(),
-        Section::Triangles => words(surfaces.triangles.as_flattened()),
-        Section::Flags => surfaces.flags.clone(),
-        Section::Planes => cells.planes.iter().flat_map(|p| p.0).flat_map(u32::to_le_bytes).collect(),
-        Section::Meets => words(cells.meets.as_flattened()),
-        Section::Rounded => cells.rounded.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect(),
-        Section::Faces => {
-            let record = |f: &crate::cells::FaceRecord| {
-                [f.plane, f.loop_start, f.triangles_start, f.cells[0], f.cells[1]]
-            };
-            cells.faces.iter().flat_map(record).flat_map(u32::to_le_bytes).collect()
-        }
-        Section::Loops => words(&cells.loops),
-        Section::Covers => words(&cells.triangles),
-        Section::Cells => {
-            let record = |c: &crate::cells::CellRecord| [c.tetrahedron, c.faces_start];
-            cells.cells.iter().flat_map(record).flat_map(u32::to_le_bytes).collect()
-        }
-        Section::CellFaces => words(&cells.cell_faces),
-        Section::Hierarchy => hierarchy.to_vec(),
+        Section::Points => cast_slice(cells.points),
+        Section::Triangles => cast_slice(surfaces.triangles),
+        Section::Flags => surfaces.flags,
+        Section::Planes => cast_slice(cells.planes),
+        Section::Meets => cast_slice(cells.meets),
+        Section::Rounded => cast_slice(cells.rounded),
+        Section::Faces => cast_slice(cells.faces),
+        Section::Loops => cast_slice(cells.loops),
+        Section::Covers => cast_slice(cells.triangles),
+        Section::Cells => cast_slice(cells.cells),
+        Section::CellFaces => cast_slice(cells.cell_faces),
+        Section::Windings => cast_slice(windings),
+        Section::Boxes => cast_slice(boxes.nodes),
+        Section::Order => cast_slice(boxes.order),
     }
 }

@@ -1,9 +1,9 @@
 //! A hierarchy of boxes over the triangles that block or show.
 
-use crate::surfaces::{BLOCKS, FLAT, SHOWS, Surfaces};
+use crate::surfaces::{BLOCKS, FLAT, SHOWS, SurfacesView};
 
 /// A box with two boxes or some triangles in it. 32 bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 pub struct Node {
     /// Least coordinates.
@@ -26,20 +26,99 @@ pub struct Hierarchy {
     pub order: Vec<u32>,
 }
 
+/// The lists of a [`Hierarchy`], wherever they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Boxes<'a> {
+    /// As [`Hierarchy::nodes`].
+    pub nodes: &'a [Node],
+    /// As [`Hierarchy::order`].
+    pub order: &'a [u32],
+}
+
+impl Boxes<'_> {
+    /// Whether the boxes are a tree in which each triangle that blocks or shows is once, and whether each box
+    /// holds what is in it.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub(crate) fn check(&self, surfaces: SurfacesView<'_>) -> Result<(), String> {
+        let counts = |t: usize| is_listed(surfaces.flags[t]);
+        let wanted = (0..surfaces.triangles.len()).filter(|t| counts(*t)).count();
+        if self.order.len() != wanted || self.nodes.is_empty() != self.order.is_empty() {
+            return Err("they do not list each triangle once".to_owned());
+        }
+        let mut listed = vec![false; surfaces.triangles.len()];
+        for t in self.order {
+            match listed.get_mut(*t as usize) {
+                Some(listed) if !*listed && counts(*t as usize) => *listed = true,
+                _ => return Err(format!("they list triangle {t} wrongly")),
+            }
+        }
+        // Children come after their parents, two after two, and triangles in the order of leaves.
+        let mut is_child = vec![false; self.nodes.len()];
+        let mut in_leaves = 0usize;
+        for (i, node) in self.nodes.iter().enumerate() {
+            let bad = |what: &str| Err(format!("box {i} {what}"));
+            let holds = |low: &[f32; 3], high: &[f32; 3]| {
+                (0..3).all(|k| node.low[k] <= low[k] && high[k] <= node.high[k])
+            };
+            if node.count > 0 {
+                let range = node.first as usize..node.first as usize + node.count as usize;
+                let Some(own) = self.order.get(range) else {
+                    return bad("names triangles that are not there");
+                };
+                in_leaves += own.len();
+                let corners = own.iter().flat_map(|t| surfaces.triangles[*t as usize]);
+                if !corners.map(|p| &surfaces.points[p as usize]).all(|p| holds(p, p)) {
+                    return bad("does not hold its triangles");
+                }
+                continue;
+            }
+            for child in [node.first as usize, (node.first as usize).saturating_add(1)] {
+                match (self.nodes.get(child), is_child.get_mut(child)) {
+                    (Some(below), Some(is_child)) if child > i && !*is_child => {
+                        *is_child = true;
+                        if !holds(&below.low, &below.high) {
+                            return bad("does not hold the boxes in it");
+                        }
+                    }
+                    _ => return bad("names a box that is not there, or that another one names"),
+                }
+            }
+        }
+        // Every box but the first is in one other, so all are below the first. Leaves name as many triangles
+        // as there are; those of two could overlap, so that others are in none.
+        let mut covered = vec![false; self.order.len()];
+        for node in self.nodes.iter().filter(|n| n.count > 0) {
+            covered[node.first as usize..][..node.count as usize].fill(true);
+        }
+        match is_child.iter().skip(1).all(|c| *c) && in_leaves == wanted && covered.iter().all(|c| *c) {
+            true => Ok(()),
+            false => Err("some boxes or triangles are in none, or in two".to_owned()),
+        }
+    }
+}
+
+/// Whether boxes list a triangle with these flags.
+fn is_listed(flags: u8) -> bool {
+    flags & FLAT == 0 && flags & (BLOCKS | SHOWS) != 0
+}
+
 /// Most triangles of a leaf.
 const LEAF: usize = 4;
 /// Places at which a box may be divided, along its longest side.
 const BINS: usize = 16;
 
 impl Hierarchy {
+    /// The lists.
+    pub fn view(&self) -> Boxes<'_> {
+        Boxes { nodes: &self.nodes, order: &self.order }
+    }
+
     /// Builds the boxes by the surface-area heuristic.
-    pub fn new(surfaces: &Surfaces) -> Self {
-        let mut order: Vec<u32> = (0..surfaces.triangles.len() as u32)
-            .filter(|t| {
-                let flags = surfaces.flags[*t as usize];
-                flags & FLAT == 0 && flags & (BLOCKS | SHOWS) != 0
-            })
-            .collect();
+    pub fn new(surfaces: SurfacesView<'_>) -> Self {
+        let mut order: Vec<u32> =
+            (0..surfaces.triangles.len() as u32).filter(|t| is_listed(surfaces.flags[*t as usize])).collect();
         if order.is_empty() {
             return Self::default();
         }

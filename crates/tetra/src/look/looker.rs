@@ -2,14 +2,15 @@
 
 use thiserror::Error;
 
-use crate::cells::Cells;
-use crate::surfaces::{FLAT, SHOWS, Surfaces};
+use crate::cells::CellsView;
+use crate::surfaces::{FLAT, SHOWS, SurfacesView};
 
 use super::eye::{Eye, unit_of};
-use super::hierarchy::Hierarchy;
+use super::hierarchy::Boxes;
 use super::scratch::Scratch;
 use super::search::{Scene, Search};
 use super::space::Space;
+use super::stack::Entry;
 use super::view::{Engine, Mode, Seen, Target, View};
 use super::within::Limits;
 
@@ -55,33 +56,68 @@ pub enum LookError {
 
 /// A scene that can be looked at. Any number of threads may ask, each with a [`Scratch`] of its own.
 pub struct Looker<'a> {
-    surfaces: &'a Surfaces,
-    hierarchy: &'a Hierarchy,
+    surfaces: SurfacesView<'a>,
+    boxes: Boxes<'a>,
     /// The points of the surfaces, and after them the corners of the cells' box.
     points: &'a [[f32; 3]],
-    cells: Option<&'a Cells>,
+    cells: Option<CellsView<'a>>,
     unit: i32,
 }
 
 impl<'a> Looker<'a> {
     /// A scene and the boxes over its triangles.
-    pub fn new(surfaces: &'a Surfaces, hierarchy: &'a Hierarchy) -> Self {
-        Self::over(surfaces, hierarchy, &surfaces.points, None)
+    pub fn new(surfaces: SurfacesView<'a>, boxes: Boxes<'a>) -> Self {
+        Self { surfaces, boxes, points: surfaces.points, cells: None, unit: Self::unit(surfaces.points) }
     }
 
     /// The same with the cells between the surfaces, which must be those of `surfaces`.
-    pub fn with_cells(surfaces: &'a Surfaces, hierarchy: &'a Hierarchy, cells: &'a Cells) -> Self {
-        Self::over(surfaces, hierarchy, &cells.points, Some(cells))
+    pub fn with_cells(surfaces: SurfacesView<'a>, boxes: Boxes<'a>, cells: CellsView<'a>) -> Self {
+        Self::with_unit(surfaces, boxes, cells, Self::unit(cells.points))
     }
 
-    fn over(
-        surfaces: &'a Surfaces,
-        hierarchy: &'a Hierarchy,
-        points: &'a [[f32; 3]],
-        cells: Option<&'a Cells>,
+    /// The same with the unit of the cells' points, where it is known.
+    pub(crate) fn with_unit(
+        surfaces: SurfacesView<'a>,
+        boxes: Boxes<'a>,
+        cells: CellsView<'a>,
+        unit: i32,
     ) -> Self {
-        let unit = unit_of(points.as_flattened().iter().map(|c| f64::from(*c)));
-        Self { surfaces, hierarchy, points, cells, unit }
+        Self { surfaces, boxes, points: cells.points, cells: Some(cells), unit }
+    }
+
+    /// The power of two that all coordinates are multiples of.
+    pub(crate) fn unit(points: &[[f32; 3]]) -> i32 {
+        unit_of(points.as_flattened().iter().map(|c| f64::from(*c)))
+    }
+
+    /// A cell that holds `x`, its border included, by a walk from `hint` or from a cell that is rather near;
+    /// nothing outside of the cells' box, and where there are no cells.
+    ///
+    /// # Errors
+    /// [`LookError::Coordinate`].
+    pub fn locate(&self, x: [f64; 3], hint: Option<u32>) -> Result<Option<u32>, LookError> {
+        check_point("the point", x)?;
+        let eye = Eye::new(x, self.points, &[], self.unit);
+        Ok(self.cells.and_then(|cells| Space::new(cells).locate(&eye, hint)))
+    }
+
+    /// The cells that hold `x`, their borders included; none outside of the cells' box.
+    ///
+    /// # Errors
+    /// [`LookError::Coordinate`].
+    pub(crate) fn cells_at<'s>(
+        &self,
+        x: [f64; 3],
+        scratch: &'s mut Scratch,
+    ) -> Result<&'s [Entry], LookError> {
+        check_point("the point", x)?;
+        let eye = Eye::new(x, self.points, &[], self.unit);
+        let Scratch { rings, hint, .. } = scratch;
+        rings.start.clear();
+        if let Some(cells) = self.cells {
+            Space::new(cells).around(&eye, hint, &mut rings.start);
+        }
+        Ok(&rings.start)
     }
 
     /// What is visible from `x`, a point in world coordinates. The answer is in `scratch.seen` too.
@@ -201,15 +237,9 @@ impl<'a> Looker<'a> {
         scratch: &'s mut Scratch,
     ) -> Search<'s> {
         let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
-        let Surfaces { triangles, flags, .. } = self.surfaces;
+        let SurfacesView { triangles, flags, .. } = self.surfaces;
         Search {
-            scene: Scene {
-                triangles,
-                flags,
-                nodes: &self.hierarchy.nodes,
-                order: &self.hierarchy.order,
-                space,
-            },
+            scene: Scene { triangles, flags, nodes: self.boxes.nodes, order: self.boxes.order, space },
             eye: Eye::new(x, self.points, corners, self.unit),
             mode,
             limits,
@@ -229,7 +259,7 @@ impl<'a> Looker<'a> {
         let eye = Eye::new(x, self.points, &[], self.unit);
         let mut open = vec![0u32];
         while let Some(number) = open.pop() {
-            let Some(node) = self.hierarchy.nodes.get(number as usize) else { continue };
+            let Some(node) = self.boxes.nodes.get(number as usize) else { continue };
             if !holds(&node.low, &node.high) {
                 continue;
             }
@@ -237,7 +267,7 @@ impl<'a> Looker<'a> {
                 open.extend([node.first, node.first + 1]);
                 continue;
             }
-            for t in &self.hierarchy.order[node.first as usize..][..node.count as usize] {
+            for t in &self.boxes.order[node.first as usize..][..node.count as usize] {
                 let flags = self.surfaces.flags[*t as usize];
                 if flags & FLAT == 0
                     && flags & SHOWS != 0

@@ -14,7 +14,7 @@ mod stack;
 mod view;
 mod within;
 
-pub use hierarchy::{Hierarchy, Node};
+pub use hierarchy::{Boxes, Hierarchy, Node};
 pub use looker::{LookError, Looker};
 pub use scratch::Scratch;
 pub use view::{Engine, Mode, Seen, Target, View};

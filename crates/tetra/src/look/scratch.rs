@@ -15,7 +15,7 @@ pub struct Scratch {
     pub(super) rings: Rings,
     pub(super) tally: Tally,
     /// The cell of the last viewpoint, where the search for the next one begins.
-    pub(super) hint: u32,
+    pub(super) hint: Option<u32>,
     /// The answer of the last query.
     pub seen: Seen,
 }

@@ -1,0 +1,154 @@
+//! An opened `.tets` file: questions about points, for any number of threads.
+
+use std::fs::File;
+use std::path::Path;
+
+use crate::look::{Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
+
+use super::contents::Contents;
+use super::error::TetsError;
+use super::layout::Layout;
+
+/// An opened file. Threads can share it, each with a [`Scratch`] of its own.
+pub struct Tets {
+    bytes: Bytes,
+    layout: Layout,
+    unit: i32,
+}
+
+enum Bytes {
+    Mapped(memmap2::Mmap),
+    /// In words, so that they start at a multiple of 8, and their number of bytes.
+    Owned(Vec<u64>, usize),
+}
+
+impl Bytes {
+    fn get(&self) -> &[u8] {
+        match self {
+            Self::Mapped(map) => map,
+            Self::Owned(words, length) => &bytemuck::cast_slice(words)[..*length],
+        }
+    }
+}
+
+impl std::fmt::Debug for Tets {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tets").field("layout", &self.layout).finish_non_exhaustive()
+    }
+}
+
+impl Tets {
+    /// Maps a file into memory and checks its checksums and all its numbers. The operating system can drop
+    /// pages that are not used afterwards.
+    ///
+    /// The file must not be changed in place while it is open. Replace it by writing another file and renaming
+    /// it.
+    ///
+    /// # Errors
+    /// [`TetsError`] for a file that cannot be read, was cut short or altered, or contradicts itself.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, TetsError> {
+        let path = path.as_ref();
+        let failed = |source| TetsError::Open { path: path.to_owned(), source };
+        let file = File::open(path).map_err(failed)?;
+        if file.metadata().map_err(failed)?.len() == 0 {
+            // An empty file cannot be mapped on every system.
+            return Err(TetsError::NotTets);
+        }
+        #[allow(unsafe_code, reason = "mapping a file is unsafe")]
+        // SAFETY: the map is read-only, and any bytes are valid numbers. Another process must not change or
+        // truncate the file meanwhile, which the documentation above forbids.
+        let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
+        Self::checked(Bytes::Mapped(map))
+    }
+
+    /// Checks a whole file that is in memory, and copies it.
+    ///
+    /// # Errors
+    /// [`TetsError`] for bytes that were cut short or altered, or contradict themselves.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, TetsError> {
+        let mut words = vec![0u64; bytes.len().div_ceil(8)];
+        bytemuck::cast_slice_mut(&mut words)[..bytes.len()].copy_from_slice(bytes);
+        Self::checked(Bytes::Owned(words, bytes.len()))
+    }
+
+    fn checked(bytes: Bytes) -> Result<Self, TetsError> {
+        let layout = Layout::parse(bytes.get())?;
+        let contents = Contents::of(bytes.get(), &layout);
+        contents.check_numbers()?;
+        let unit = Looker::unit(contents.cells.points);
+        Ok(Self { bytes, layout, unit })
+    }
+
+    /// What is in the file.
+    pub fn contents(&self) -> Contents<'_> {
+        Contents::of(self.bytes.get(), &self.layout)
+    }
+
+    fn looker(&self) -> Looker<'_> {
+        let Contents { surfaces, cells, boxes, .. } = self.contents();
+        Looker::with_unit(surfaces, boxes, cells, self.unit)
+    }
+
+    /// A cell that holds a point in world coordinates, its border included; nothing outside of the cells' box.
+    /// The search walks from the cell `hint`, best that of a point nearby; without one it starts at the nearest
+    /// of some cells that are spread over the scene.
+    ///
+    /// # Errors
+    /// [`LookError::Coordinate`] for numbers that are out of range.
+    pub fn locate(&self, x: [f64; 3], hint: Option<u32>) -> Result<Option<u32>, LookError> {
+        self.looker().locate(x, hint)
+    }
+
+    /// Whether a point is inside of a closed solid, which blocks and whose normals point out; not on its
+    /// border. Exact.
+    ///
+    /// # Errors
+    /// [`LookError::Coordinate`] for numbers that are out of range.
+    pub fn inside(&self, x: [f64; 3], scratch: &mut Scratch) -> Result<bool, LookError> {
+        let windings = self.contents().windings;
+        let cells = self.looker().cells_at(x, scratch)?;
+        Ok(!cells.is_empty() && cells.iter().all(|cell| windings[cell.first as usize] > 0))
+    }
+
+    /// What is visible from a point ([`Looker::look`]).
+    ///
+    /// # Errors
+    /// [`LookError`] for numbers that are out of range.
+    pub fn look<'s>(
+        &self,
+        x: [f64; 3],
+        view: &View,
+        mode: Mode,
+        scratch: &'s mut Scratch,
+    ) -> Result<&'s Seen, LookError> {
+        self.looker().look(x, view, mode, scratch)
+    }
+
+    /// What share of a box's picture is visible from a point, exactly ([`Looker::sees`]).
+    ///
+    /// # Errors
+    /// [`LookError`] for numbers that are out of range.
+    pub fn sees(&self, x: [f64; 3], target: &Target, scratch: &mut Scratch) -> Result<f64, LookError> {
+        self.sees_in(x, target, &View::default(), Mode::Exact, scratch)
+    }
+
+    /// The same within a view, and with an angle.
+    ///
+    /// # Errors
+    /// [`LookError`] for numbers that are out of range.
+    pub fn sees_in(
+        &self,
+        x: [f64; 3],
+        target: &Target,
+        view: &View,
+        mode: Mode,
+        scratch: &mut Scratch,
+    ) -> Result<f64, LookError> {
+        self.looker().sees(x, target, view, mode, scratch)
+    }
+
+    /// The engine that answers when none is named.
+    pub fn engine(&self) -> Engine {
+        Engine::default()
+    }
+}

@@ -1,0 +1,119 @@
+//! Points in closed solids, in their cavities and on their borders, and where they are found.
+
+#![allow(clippy::unwrap_used, reason = "a test may stop where it stands")]
+
+use glam::Vec3;
+use proptest::prelude::*;
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_tetra::check::check;
+use sightline_tetra::file::write;
+use sightline_tetra::{Quiet, Scratch, Tets, build};
+
+type T = [[f32; 3]; 3];
+
+/// The twelve triangles of a box; their normals point out, or in.
+fn cube(low: [f32; 3], high: [f32; 3], out: bool) -> Vec<T> {
+    let corner = |bits: usize| -> [f32; 3] {
+        std::array::from_fn(|k| if bits >> k & 1 == 1 { high[k] } else { low[k] })
+    };
+    let sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let halves = sides.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]);
+    halves.map(|[a, b, c]| if out { [a, b, c] } else { [a, c, b] }.map(corner)).collect()
+}
+
+fn tets(triangles: &[T]) -> Tets {
+    let triangles: Vec<Triangle> =
+        triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let count = triangles.len() as u32;
+    let object = Object { name: "all".into(), first: 0, count };
+    let built = build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap();
+    assert_eq!(check(&built.contents()), Ok(()));
+    let mut file = Vec::new();
+    write(&mut file, &built.contents()).unwrap();
+    Tets::from_bytes(&file).unwrap()
+}
+
+fn inside(tets: &Tets, x: [f64; 3]) -> bool {
+    tets.inside(x, &mut Scratch::default()).unwrap()
+}
+
+#[test]
+fn a_solid_holds_its_inside_and_not_its_border() {
+    let tets = tets(&cube([0.0; 3], [1.0; 3], true));
+    for (x, expected) in [
+        ([0.5; 3], true),
+        ([1e-300, 0.5, 0.5], true),
+        ([0.0, 0.5, 0.5], false),
+        ([1.0; 3], false),
+        ([-0.001, 0.5, 0.5], false),
+        // In the box around all cells, and outside of it.
+        ([1.03, 0.5, 0.5], false),
+        ([1e30, 0.5, 0.5], false),
+    ] {
+        assert_eq!(inside(&tets, x), expected, "{x:?}");
+    }
+    assert!(tets.inside([f64::NAN, 0.0, 0.0], &mut Scratch::default()).is_err());
+}
+
+#[test]
+fn cavities_and_rooms_are_not_inside_and_open_boxes_hold_nothing() {
+    let mut hollow = cube([0.0; 3], [4.0; 3], true);
+    hollow.extend(cube([1.0; 3], [3.0; 3], false));
+    // A solid in the cavity.
+    hollow.extend(cube([1.5; 3], [2.5; 3], true));
+    let hollow = tets(&hollow);
+    for (at, expected) in [(0.5, true), (1.2, false), (2.0, true), (2.75, false), (3.5, true)] {
+        assert_eq!(inside(&hollow, [at; 3]), expected, "{at}");
+    }
+    let room = cube([0.0; 3], [4.0; 3], false);
+    assert!(!inside(&tets(&room), [2.0; 3]));
+    assert!(!inside(&tets(&cube([0.0; 3], [4.0; 3], true)[1..]), [2.0; 3]));
+    // Two solids that share a side: the side is inside of neither alone, and the tests agree on both sides.
+    let mut two = cube([0.0; 3], [1.0; 3], true);
+    two.extend(cube([0.25, 0.25, 0.25], [2.0; 3], true));
+    let two = tets(&two);
+    assert!(inside(&two, [0.5; 3]) && inside(&two, [0.1; 3]) && inside(&two, [1.5; 3]));
+    assert!(inside(&two, [1.0, 0.5, 0.5]) && !inside(&two, [1.5, 0.1, 0.1]));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(32))]
+
+    /// Boxes anywhere, also across one another: a point is inside when it is in more solids than cavities.
+    /// Wherever the walk begins, it ends in a cell that holds the point.
+    #[test]
+    fn boxes_hold_what_is_in_them(
+        boxes in prop::collection::vec((prop::array::uniform3(0i8..6), prop::array::uniform3(1i8..4), any::<bool>()), 1..4),
+        points in prop::collection::vec(prop::array::uniform3(-1.0f64..9.0), 8),
+        hint in any::<u32>(),
+    ) {
+        let mut triangles = Vec::new();
+        let place = |k: usize, v: i8| f32::from(v) + 0.125 * k as f32;
+        let all: Vec<([f32; 3], [f32; 3], bool)> = boxes
+            .iter()
+            .enumerate()
+            // No two share a side, so that no two surfaces become one.
+            .map(|(n, (low, size, out))| {
+                (low.map(|v| place(n, v)), std::array::from_fn(|k| place(n, low[k] + size[k])), *out)
+            })
+            .collect();
+        all.iter().for_each(|(low, high, out)| triangles.extend(cube(*low, *high, *out)));
+        let tets = tets(&triangles);
+        let mut scratch = Scratch::default();
+        for x in points {
+            let within = |low: &[f32; 3], high: &[f32; 3]| {
+                (0..3).all(|k| f64::from(low[k]) < x[k] && x[k] < f64::from(high[k]))
+            };
+            let sum: i32 = all
+                .iter()
+                .filter(|(low, high, _)| within(low, high))
+                .map(|(_, _, out)| if *out { 1 } else { -1 })
+                .sum();
+            prop_assert_eq!(tets.inside(x, &mut scratch).unwrap(), sum > 0, "{:?}", x);
+            let cells = tets.contents().cells.cell_count() as u32;
+            let found = [None, Some(hint), Some(hint % cells)].map(|hint| tets.locate(x, hint).unwrap());
+            prop_assert_eq!(found[0].is_some(), found[1].is_some());
+            prop_assert_eq!(found[0].is_some(), found[2].is_some());
+        }
+    }
+}
