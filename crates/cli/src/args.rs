@@ -18,6 +18,7 @@ use crate::remote_args::{
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
 use crate::serve_args::{CoordinatorArgs, LogFormat, WorkerArgs};
 use crate::store_args::StoreArgs;
+use crate::tetra_args::{LookArgs, TetraArgs};
 use crate::token_args::TokenArgs;
 use crate::traces::TraceArgs;
 use crate::what::What;
@@ -131,7 +132,9 @@ pub enum Command {
     Sightlines(SightlinesArgs),
     /// Decide exactly whether a line passes through a sequence of polygons.
     Stab(StabArgs),
-    /// Look from points at run time: the triangles of a cell's set that are in the view and not behind walls
+    /// Divide the space between surfaces into cells, to look from points.
+    Tetra(TetraArgs),
+    /// Look from points at run time: what is seen, exactly or through portals, and what share of a box.
     Look(LookArgs),
     /// Put ambient occlusion without noise into a scene's own file, or tell it at points.
     Ambient(AmbientArgs),
@@ -199,16 +202,6 @@ pub struct StabArgs {
     /// Threads. Default: one per core.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,
-}
-
-#[derive(Args, Debug)]
-pub struct LookArgs {
-    /// The result, baked with --method portals.
-    pub result: PathBuf,
-    /// The views as JSON Lines; - for stdin: {"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[h,v],
-    /// "shut":["door"]}. The angles are full ones in degrees; "shut" may be left out.
-    #[arg(long, value_name = "E.jsonl")]
-    pub eyes: PathBuf,
 }
 
 #[derive(Args, Debug)]

@@ -64,7 +64,7 @@ const FLAGS: [(Kind, &str); 5] = [
 ];
 
 /// Endings of the files that commands take.
-const FILES: [&str; 5] = [".obj", ".ply", ".gltf", ".glb", ".pvs"];
+const FILES: [&str; 6] = [".obj", ".ply", ".gltf", ".glb", ".pvs", ".tets"];
 
 /// The arguments of the command line, where a file that follows `--opaque` is not taken as its glob: the
 /// flags go before the file, and `--opaque` needs no glob.

@@ -44,8 +44,11 @@ mod job_args;
 mod json_lines;
 mod kind_args;
 mod look;
+mod look_portals;
+mod look_tets;
 mod manuals;
 mod measuring;
+mod memory;
 mod migrating;
 mod opening;
 mod output;
@@ -70,6 +73,9 @@ mod store;
 mod store_args;
 mod store_place;
 mod submitting;
+mod tetra;
+mod tetra_args;
+mod tetra_export;
 mod timeline;
 mod token_args;
 mod tokens;
@@ -156,6 +162,7 @@ fn run(cli: Cli) -> Result<(), CliError> {
         Command::Mesh(a) => files::mesh(&a, json),
         Command::Portals(a) => portals::run(&a, json),
         Command::Stab(a) => stab::run(&a),
+        Command::Tetra(a) => tetra::run(&a, json),
         Command::Look(a) => look::run(&a),
         Command::Ambient(a) => ambient::run(&a, json),
         Command::Generate(a) => files::generate(&a, json),

@@ -29,6 +29,10 @@ pub enum Format {
     Csv,
     /// A picture.
     Png,
+    /// Cells between surfaces.
+    Tets,
+    /// Tetrahedra for VTK.
+    Vtu,
 }
 
 impl Format {
@@ -43,6 +47,8 @@ impl Format {
             Self::Json => b"{\"format\"",
             Self::Csv => b"cell,object",
             Self::Png => b"\x89PNG",
+            Self::Tets => b"\x89TET",
+            Self::Vtu => b"<VTKFile type=\"UnstructuredGrid\"",
         }
     }
 
@@ -57,13 +63,17 @@ impl Format {
             Self::Json => "json",
             Self::Csv => "csv",
             Self::Png => "png",
+            Self::Tets => "tets",
+            Self::Vtu => "vtu",
         }
     }
 }
 
 /// Extensions of well-known formats; a name with one of them promises that format.
-const KNOWN: [&str; 13] =
-    ["obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html"];
+const KNOWN: [&str; 15] = [
+    "obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html", "tets",
+    "vtu",
+];
 
 /// A place where a file may be written.
 #[derive(Debug)]

@@ -7,6 +7,7 @@ mod build;
 pub mod cells;
 pub mod check;
 pub mod delaunay;
+pub mod divide;
 pub mod file;
 pub mod look;
 pub mod surfaces;

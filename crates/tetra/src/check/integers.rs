@@ -6,7 +6,7 @@ use sightline_scene::exact::dyadic;
 use crate::cells::{CellsView, Plane};
 
 /// Points as integers, all in the same unit.
-pub(super) struct Integers<'a> {
+pub(crate) struct Integers<'a> {
     cells: CellsView<'a>,
     /// The unit is two to this power.
     pub least: i32,
@@ -81,23 +81,23 @@ fn spanned(at: &[IBig; 3], d: &[IBig; 3], e: &[IBig; 3]) -> [IBig; 4] {
 }
 
 /// The determinant with three columns.
-pub(super) fn det3(a: [&IBig; 3], b: [&IBig; 3], c: [&IBig; 3]) -> IBig {
+pub(crate) fn det3(a: [&IBig; 3], b: [&IBig; 3], c: [&IBig; 3]) -> IBig {
     a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0])
         + a[2] * (b[0] * c[1] - b[1] * c[0])
 }
 
 /// The sign of a plane at a vertex whose last coordinate is positive.
-pub(super) fn side(plane: &[IBig; 4], v: &[IBig; 4]) -> i8 {
+pub(crate) fn side(plane: &[IBig; 4], v: &[IBig; 4]) -> i8 {
     sign(&(&plane[0] * &v[0] + &plane[1] * &v[1] + &plane[2] * &v[2] + &plane[3] * &v[3]))
 }
 
 /// 1, 0 or −1.
-pub(super) fn sign(x: &IBig) -> i8 {
+pub(crate) fn sign(x: &IBig) -> i8 {
     x.cmp(&IBig::ZERO) as i8
 }
 
 /// The axis along which a plane's normal is longest, and the sign of the normal there: 0 without a normal.
-pub(super) fn main_axis(plane: &[IBig; 4]) -> (usize, i8) {
+pub(crate) fn main_axis(plane: &[IBig; 4]) -> (usize, i8) {
     let size = |i: usize| if sign(&plane[i]) < 0 { -&plane[i] } else { plane[i].clone() };
     let mut axis = 0;
     for i in 1..3 {

@@ -15,8 +15,8 @@
 //! passes through the inside of a cell.
 
 mod fault;
-mod integers;
-mod residues;
+pub(crate) mod integers;
+pub(crate) mod residues;
 pub(crate) mod structure;
 
 use dashu_int::IBig;

@@ -8,13 +8,13 @@ use dashu_int::IBig;
 use dashu_int::ops::DivRem;
 
 /// A number modulo the two primes.
-pub(super) type Both = [u64; 2];
+pub(crate) type Both = [u64; 2];
 /// A place modulo the two primes.
-pub(super) type Place = [Both; 3];
+pub(crate) type Place = [Both; 3];
 
 /// Arithmetic modulo two primes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Field {
+pub(crate) struct Field {
     primes: Both,
 }
 

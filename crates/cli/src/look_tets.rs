@@ -1,0 +1,202 @@
+//! `sightline look OUT.tets`: what is seen from points, one JSON line in, one JSON line out.
+
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use rayon::prelude::*;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use sightline_tetra::surfaces::{BLOCKS, SHOWS};
+use sightline_tetra::{Engine, LookError, Mode, Scratch, Seen, Target, Tets, TetsError, View};
+
+use crate::error::CliError;
+use crate::json_lines::JsonLines;
+use crate::opening::plural;
+use crate::progress::say;
+use crate::serve::{self, print};
+use crate::tetra_args::{LookArgs, LookEngine, LookMode};
+
+/// The angle of modes that need one, in degrees, if none is given.
+const ANGLE: f64 = 0.2;
+/// The angle of the cone around a direction, in degrees, if none is given.
+const FOV: f64 = 90.0;
+
+/// One line of the input.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line {
+    #[serde(default)]
+    id: Value,
+    point: [f64; 3],
+    direction: Option<[f64; 3]>,
+    fov: Option<f64>,
+    distance: Option<f64>,
+    #[serde(default)]
+    targets: Vec<TargetLine>,
+}
+
+/// A box in a line.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TargetLine {
+    #[serde(default)]
+    id: Value,
+    min: [f64; 3],
+    max: [f64; 3],
+}
+
+/// A point and what is asked about it.
+struct Query {
+    id: Value,
+    point: [f64; 3],
+    view: View,
+    targets: Vec<(Value, Target)>,
+}
+
+/// What all answers have in common.
+struct Answering<'a> {
+    tets: &'a Tets,
+    mode: Mode,
+    args: &'a LookArgs,
+    /// Whether some triangles block and do not show, so that not every direction ends in what is seen.
+    has_unseen: bool,
+}
+
+/// Opens a file of `sightline tetra`; the error names it.
+pub fn open(path: &std::path::Path) -> Result<Tets, CliError> {
+    Tets::open(path).map_err(|e| match e {
+        TetsError::Open { .. } => CliError::Input(format!("{e}; name a file that `sightline tetra` wrote")),
+        e => CliError::Input(format!("{}: {e}", path.display())),
+    })
+}
+
+/// Looks from every point of a file, in order.
+pub fn run(args: &LookArgs) -> Result<(), CliError> {
+    let mode = mode(args)?;
+    serve::use_threads(args.threads.map_or(1, usize::from))?;
+    let tets = open(&args.file)?;
+    let has_unseen = tets.contents().surfaces.flags.iter().any(|f| f & (BLOCKS | SHOWS) == BLOCKS);
+    let answering = Answering { tets: &tets, mode, args, has_unseen };
+    let example = r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}"#;
+    let mut input = JsonLines::open(&args.points, "--points", example)?;
+    let engine = match args.engine.unwrap_or_default() {
+        LookEngine::Auto => tets.engine(),
+        LookEngine::Tetra => Engine::Cells,
+        LookEngine::Bvh => Engine::Boxes,
+    };
+    let pool: Mutex<Vec<Scratch>> = Mutex::default();
+    let (mut times, mut counts): (Vec<u64>, Vec<usize>) = (Vec::new(), Vec::new());
+    let ended = 'all: loop {
+        let (queries, failure) = input.read(|line: Line| query(line, args.witnesses, engine));
+        let last = queries.is_empty();
+        let first = input.lines - queries.len() as u64 - u64::from(failure.is_some());
+        let answers: Vec<Result<Answer, LookError>> = queries
+            .into_par_iter()
+            .map(|query| {
+                let mut scratch =
+                    pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+                let answer = answering.answer(query, &mut scratch);
+                pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+                answer
+            })
+            .collect();
+        for (number, answer) in (first + 1..).zip(answers) {
+            let answer = match answer {
+                Ok(answer) => answer,
+                Err(e) => break 'all Err(CliError::Input(format!("{}, line {number}: {e}", input.name))),
+            };
+            times.push(answer.nanos);
+            counts.push(answer.visible);
+            print(&answer.line.to_string())?;
+        }
+        match failure {
+            Some(e) => break Err(e),
+            None if last => break Ok(()),
+            None => {}
+        }
+    };
+    if ended.is_err() {
+        say("only the points before the bad line were answered");
+    }
+    times.sort_unstable();
+    counts.sort_unstable();
+    if let (Some(time), Some(count)) = (times.get(times.len() / 2), counts.get(counts.len() / 2)) {
+        say(&format!(
+            "{}; in the median {:.1} µs each, and {} seen",
+            plural(times.len(), "point"),
+            *time as f64 / 1e3,
+            plural(*count, "triangle")
+        ));
+    }
+    ended
+}
+
+/// The mode with its angle.
+fn mode(args: &LookArgs) -> Result<Mode, CliError> {
+    let angle = args.angle.unwrap_or(ANGLE);
+    if angle.is_nan() || angle <= 0.0 || angle > 180.0 {
+        return Err(CliError::Input(format!(
+            "--angle {angle} is not an angle; give one above 0 and up to 180 degrees"
+        )));
+    }
+    match args.mode.unwrap_or_default() {
+        LookMode::Exact if args.angle.is_some() => Err(CliError::Usage(
+            "--angle is for beams that are not decided exactly; add --mode aggressive or --mode conservative, \
+             or leave it out"
+                .to_owned(),
+        )),
+        LookMode::Exact => Ok(Mode::Exact),
+        LookMode::Aggressive => Ok(Mode::Aggressive(angle.to_radians())),
+        LookMode::Conservative => Ok(Mode::Conservative(angle.to_radians())),
+    }
+}
+
+fn query(line: Line, witnesses: bool, engine: Engine) -> Result<Query, String> {
+    let Line { id, point, direction, fov, distance, targets } = line;
+    if fov.is_some() && direction.is_none() {
+        return Err("\"fov\" is the angle around a direction; give \"direction\" too, or neither".to_owned());
+    }
+    let angle = fov.unwrap_or(FOV).to_radians();
+    let targets = targets.into_iter().map(|t| (t.id, Target { low: t.min, high: t.max })).collect();
+    Ok(Query { id, point, view: View { direction, angle, distance, witnesses, engine }, targets })
+}
+
+struct Answer {
+    line: Value,
+    nanos: u64,
+    visible: usize,
+}
+
+impl Answering<'_> {
+    fn answer(&self, query: Query, scratch: &mut Scratch) -> Result<Answer, LookError> {
+        let Query { id, point, view, targets } = query;
+        let start = Instant::now();
+        let inside = self.tets.inside(point, scratch)?;
+        let fractions: Vec<f64> = targets
+            .iter()
+            .map(|(_, target)| self.tets.sees_in(point, target, &view, self.mode, scratch))
+            .collect::<Result<_, _>>()?;
+        let seen = self.tets.look(point, &view, self.mode, scratch)?;
+        let nanos = start.elapsed().as_nanos() as u64;
+        let Seen { visible, areas, witnesses, sky, unseen, dropped, cells, beams, .. } = seen;
+        let mut line = json!({
+            "id": id, "visible": visible, "sky": sky, "dropped": dropped, "inside": inside, "cells": cells,
+            "beams": beams, "micros": nanos as f64 / 1e3,
+        });
+        if self.args.areas {
+            line["areas"] = json!(areas);
+        }
+        if self.args.witnesses {
+            line["witnesses"] = json!(witnesses);
+        }
+        if self.has_unseen {
+            line["unseen"] = json!(unseen);
+        }
+        if !targets.is_empty() {
+            let share =
+                |((id, _), fraction): (&(Value, Target), &f64)| json!({"id": id, "fraction": fraction});
+            line["targets"] = targets.iter().zip(&fractions).map(share).collect();
+        }
+        Ok(Answer { line, nanos, visible: visible.len() })
+    }
+}

@@ -1,0 +1,165 @@
+//! `sightline tetra`: the space between surfaces in convex cells, written to a file, or a file checked.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::json;
+use sightline_scene::Scene;
+use sightline_tetra::check::check;
+use sightline_tetra::file::write;
+use sightline_tetra::surfaces::Surfaces;
+use sightline_tetra::{BuildError, Stage, Watch, build};
+
+use crate::bake::peak_memory;
+use crate::error::CliError;
+use crate::look_tets::open;
+use crate::memory;
+use crate::opening::{self, plural};
+use crate::output::{Format, Output};
+use crate::progress::{Progress, human, say};
+use crate::serve::{self, print, threads};
+use crate::tetra_args::TetraArgs;
+use crate::tetra_export::export;
+
+/// Builds cells, or checks a file.
+pub fn run(args: &TetraArgs, json: bool) -> Result<(), CliError> {
+    serve::use_threads(threads(args.threads.map(usize::from)))?;
+    match (&args.tets, &args.output) {
+        (Some(tets), _) => checked(args, tets, json),
+        (None, Some(output)) => built(args, output, json),
+        (None, None) => Err(CliError::Usage("give -o OUT.tets, or --check SCENE OUT.tets".to_owned())),
+    }
+}
+
+/// Reads the scene, and refuses what cells cannot stand for.
+fn scene(args: &TetraArgs) -> Result<Scene, CliError> {
+    if args.kinds.cull_back_faces {
+        return Err(CliError::Usage(
+            "cells are about triangles that are met from both sides; leave out --cull-back-faces".to_owned(),
+        ));
+    }
+    let scene = opening::scene(&args.scene, &args.kinds)?;
+    opening::without_masks(&scene)?;
+    Ok(scene)
+}
+
+/// Shows how far the work is, and ends it before it takes more memory than there is.
+struct Follower {
+    progress: Progress,
+    taken_before: u64,
+}
+
+impl Watch for Follower {
+    fn done(&self, stage: Stage, done: u64, total: u64) {
+        let what = match stage {
+            Stage::Points => "points",
+            Stage::Cut => "tetrahedra cut",
+            Stage::Faces => "tetrahedra gathered",
+        };
+        self.progress.count_so_far(done, total, what);
+    }
+
+    fn needs(&self, bytes: u64) -> Result<(), String> {
+        let taken = peak_memory().unwrap_or_default().saturating_sub(self.taken_before);
+        match memory::available() {
+            Some(free) if bytes.saturating_sub(taken) > free => Err(format!(
+                "the cells will take about {} of memory, and {} are free; end other programs, divide the scene, \
+                 or use a machine with more",
+                memory::in_words(bytes),
+                memory::in_words(free)
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
+    let start = Instant::now();
+    let file = Output::check(output, Format::Tets, Some(&args.scene))?;
+    let mesh = args.export.as_ref().map(|path| Output::check(path, Format::Vtu, Some(&args.scene)));
+    let mesh = mesh.transpose()?;
+    let scene = scene(args)?;
+    let follower = Follower { progress: Progress::new(), taken_before: peak_memory().unwrap_or_default() };
+    let built = build(&scene, &follower);
+    follower.progress.end();
+    let built = built.map_err(|e| match e {
+        BuildError::Cells(e @ sightline_tetra::cells::CellsError::NotConforming { .. }) => {
+            CliError::internal(e)
+        }
+        e => CliError::Input(format!("{}: {e}", args.scene.display())),
+    })?;
+    drop(scene);
+    file.write(|out| write(out, &built.contents()).map_err(CliError::internal))?;
+    let exported = mesh.map(|mesh| export(&built.contents(), &mesh)).transpose()?;
+    let bytes = std::fs::metadata(output).map_err(|e| CliError::writing(output, &e))?.len();
+    let contents = built.contents();
+    let (triangles, vertices) = (contents.surfaces.triangles.len(), contents.surfaces.points.len());
+    let (added, cells) = (contents.cells.meets.len(), contents.cells.cell_count());
+    let seconds = start.elapsed();
+    let peak = peak_memory();
+    if json {
+        let mut value = json!({
+            "output": output.display().to_string(), "triangles": triangles, "vertices": vertices, "added": added,
+            "tetrahedra": built.tetrahedra, "cells": cells, "faces": contents.cells.face_count(),
+            "cut": built.counts.cut, "whole": built.counts.whole, "meetings": built.counts.meetings,
+            "signs": built.counts.decisions.all, "integers": built.counts.decisions.integers,
+            "bytes": bytes, "seconds": seconds.as_secs_f64(), "peak_memory_bytes": peak,
+        });
+        if let Some(exported) = exported {
+            value["exported"] = exported.into();
+        }
+        return print(&value.to_string());
+    }
+    print(&format!(
+        "{} with {}: {} Delaunay tetrahedra, {} of which triangles cut into {} with {}",
+        plural(triangles, "triangle"),
+        plural(vertices, "vertex").replace("vertexs", "vertices"),
+        built.tetrahedra,
+        built.counts.cut,
+        plural(cells, "cell"),
+        plural(added, "more vertex").replace("vertexs", "vertices"),
+    ))?;
+    if let (Some(exported), Some(path)) = (exported, &args.export) {
+        print(&format!("wrote {}: {exported} tetrahedra", path.display()))?;
+    }
+    let peak = peak.map_or("not known here".to_owned(), memory::in_words);
+    print(&format!(
+        "wrote {}: {} in {}, peak memory {peak}",
+        output.display(),
+        memory::in_words(bytes),
+        human(seconds)
+    ))
+}
+
+fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
+    let start = Instant::now();
+    let tets = open(path)?;
+    let scene = scene(args)?;
+    let contents = tets.contents();
+    let refused = |why: String| {
+        if json {
+            print(&json!({"accepted": false, "reason": why}).to_string())?;
+        }
+        Err(CliError::Input(format!("{}: {why}", path.display())))
+    };
+    if let Err(e) = contents.expect_scene(&scene.digest().0) {
+        return refused(e.to_string());
+    }
+    if Surfaces::new(&scene)?.view() != contents.surfaces {
+        return refused("its triangles are not those of the scene; build it again".to_owned());
+    }
+    if let Err(fault) = check(&contents) {
+        return refused(fault.to_string());
+    }
+    let (cells, triangles) = (contents.cells.cell_count(), contents.surfaces.triangles.len());
+    say(&format!("checked in {}", human(start.elapsed())));
+    match json {
+        true => print(&json!({"accepted": true, "cells": cells, "triangles": triangles}).to_string()),
+        false => print(&format!(
+            "accepted: {} fill the box without overlap, neighbours agree, and each of {} with an area is covered \
+             once",
+            plural(cells, "cell"),
+            plural(triangles, "triangle")
+        )),
+    }
+}

@@ -1,0 +1,279 @@
+//! Cells as tetrahedra, for programs that know nothing else.
+//!
+//! A face is divided in one way, whichever cell asks, and a cell is the cone over its faces: from its vertex
+//! with the least number, or from a point inside of it where vertices of other cells are on its edges. So the
+//! tetrahedra meet face to face, and a triangle of the scene is a union of their faces. Which places are the
+//! same, and which are on a line, is decided modulo two primes as by the checker (`check/residues.rs`).
+
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use dashu_int::IBig;
+
+use crate::cells::CellsView;
+use crate::check::integers::Integers;
+use crate::check::residues::{Field, Place};
+use crate::file::Contents;
+
+/// Tetrahedra that fill the box face to face.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Divided {
+    /// Where the corners are, rounded to doubles.
+    pub places: Vec<[f64; 3]>,
+    /// The corners a, b, c, d of each tetrahedron, with (b − a) × (c − a) · (d − a) > 0 before rounding.
+    pub tetrahedra: Vec<[u32; 4]>,
+    /// The cell of each.
+    pub cells: Vec<u32>,
+    /// Faces of tetrahedra that are in triangles of the scene: three corners each.
+    pub faces: Vec<[u32; 3]>,
+    /// The triangle of each. Of triangles that overlap each has faces of its own.
+    pub triangles: Vec<u32>,
+}
+
+/// Divides the cells of a file.
+pub fn divide(contents: &Contents<'_>) -> Divided {
+    let cells = contents.cells;
+    let field = Field::new(&contents.digest);
+    let integers = Integers::new(cells);
+    let vertices = cells.points.len() + cells.meets.len();
+    let places: Vec<Place> = (0..vertices as u32)
+        .into_par_iter()
+        // A vertex that is no point is in a file that `check` refuses.
+        .map(|v| integers.vertex(v).map(|v| field.place(&v)).unwrap_or_default())
+        .collect();
+    let mut first: FxHashMap<Place, u32> = FxHashMap::default();
+    let same: Vec<u32> = (0..).zip(&places).map(|(v, place)| *first.entry(*place).or_insert(v)).collect();
+    drop(first);
+    let rings = Rings { cells, field, places: &places, same: &same, between: FxHashMap::default() };
+    let rings = Rings { between: rings.lines(&integers), ..rings };
+    let faces: Vec<Face> = (0..cells.face_count()).into_par_iter().map(|f| rings.face(f)).collect();
+    let parts: Vec<(Vec<[u32; 4]>, Option<[f64; 3]>)> =
+        (0..cells.cell_count()).into_par_iter().map(|c| rings.cell(c, &faces)).collect();
+    gather(contents, &faces, parts)
+}
+
+/// A face with the vertices on its edges, and its triangles.
+struct Face {
+    /// Whether there are vertices of others on its edges, or its own on a line.
+    uneven: bool,
+    ring: Vec<u32>,
+    /// Counter-clockwise as seen from in front of the plane.
+    triangles: Vec<[u32; 3]>,
+}
+
+struct Rings<'a> {
+    cells: CellsView<'a>,
+    field: Field,
+    places: &'a [Place],
+    /// The least of all vertices at the same place.
+    same: &'a [u32],
+    /// The vertices between the two of an edge, in order from the lesser one. Edges without any are left out.
+    between: FxHashMap<(u32, u32), Vec<u32>>,
+}
+
+impl Rings<'_> {
+    /// The loop of a face, each place once.
+    fn loop_of(&self, face: usize) -> Vec<u32> {
+        let mut ring: Vec<u32> = self.cells.face_loop(face).iter().map(|v| self.same[*v as usize]).collect();
+        ring.dedup();
+        while ring.len() > 1 && ring.first() == ring.last() {
+            ring.pop();
+        }
+        ring
+    }
+
+    /// What is between the ends of edges, found on the lines that edges lie on.
+    fn lines(&self, integers: &Integers<'_>) -> FxHashMap<(u32, u32), Vec<u32>> {
+        let mut edges: Vec<(u32, u32)> = (0..self.cells.face_count())
+            .into_par_iter()
+            .flat_map_iter(|f| {
+                let ring = self.loop_of(f);
+                (0..ring.len()).map(move |k| {
+                    let (a, b) = (ring[k], ring[(k + 1) % ring.len()]);
+                    (a.min(b), a.max(b))
+                })
+            })
+            .collect();
+        edges.par_sort_unstable();
+        edges.dedup();
+        let place = |v: u32| &self.places[v as usize];
+        let mut on_lines: Vec<([Place; 2], (u32, u32))> =
+            edges.into_par_iter().map(|(a, b)| (self.field.line(place(a), place(b)), (a, b))).collect();
+        on_lines.par_sort_unstable();
+        let groups: Vec<&[([Place; 2], (u32, u32))]> =
+            on_lines.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1).collect();
+        let found: Vec<Vec<((u32, u32), Vec<u32>)>> =
+            groups.into_par_iter().map(|group| between(integers, group)).collect();
+        found.into_iter().flatten().collect()
+    }
+
+    fn face(&self, face: usize) -> Face {
+        let own = self.loop_of(face);
+        let mut ring = Vec::with_capacity(own.len());
+        for (k, a) in own.iter().enumerate() {
+            let b = own[(k + 1) % own.len()];
+            ring.push(*a);
+            if let Some(between) = self.between.get(&(*a.min(&b), *a.max(&b))) {
+                match *a < b {
+                    true => ring.extend(between),
+                    false => ring.extend(between.iter().rev()),
+                }
+            }
+        }
+        let n = ring.len();
+        let straight = (0..n).any(|k| self.are_in_line(ring[k], ring[(k + 1) % n], ring[(k + 2) % n]));
+        let triangles = if straight { self.clip(ring.clone()) } else { fan(&ring, least(&ring)) };
+        Face { uneven: straight, ring, triangles }
+    }
+
+    fn are_in_line(&self, a: u32, b: u32, c: u32) -> bool {
+        let [a, b, c] = [a, b, c].map(|v| &self.places[v as usize]);
+        self.field.cross(&self.field.difference(b, a), &self.field.difference(c, a)) == Place::default()
+    }
+
+    /// Divides a convex ring that has corners in the middle of its sides, so that every piece of a side is an
+    /// edge of a triangle.
+    fn clip(&self, mut ring: Vec<u32>) -> Vec<[u32; 3]> {
+        let mut out = Vec::with_capacity(ring.len());
+        while ring.len() > 3 {
+            let n = ring.len();
+            let corner = |k: usize| !self.are_in_line(ring[(k + n - 1) % n], ring[k], ring[(k + 1) % n]);
+            let corners: Vec<usize> = (0..n).filter(|k| corner(*k)).collect();
+            // With three corners, one may have all the rest on the side across from it.
+            let alone = |k: &&usize| {
+                let beside = |step: usize| corners.contains(&((**k + step) % n));
+                corners.len() == 3 && beside(1) && beside(n - 1)
+            };
+            if let Some(k) = corners.iter().find(alone) {
+                out.extend(fan(&ring, *k));
+                return out;
+            }
+            let Some(k) = corners.into_iter().min_by_key(|k| ring[*k]) else { return out };
+            out.push([ring[(k + n - 1) % n], ring[k], ring[(k + 1) % n]]);
+            ring.remove(k);
+        }
+        if let [a, b, c] = ring[..] {
+            out.push([a, b, c]);
+        }
+        out
+    }
+
+    /// The tetrahedra of a cell, and its inner point where it needs one, which has the number `u32::MAX`.
+    fn cell(&self, cell: usize, faces: &[Face]) -> (Vec<[u32; 4]>, Option<[f64; 3]>) {
+        let listed = self.cells.faces_of(cell);
+        let of = |f: &u32| &faces[(f >> 1) as usize];
+        let least = listed.iter().flat_map(|f| &of(f).ring).min().copied().unwrap_or_default();
+        let simple = listed.iter().all(|f| {
+            let face = of(f);
+            !face.uneven && (face.ring.contains(&least) || !self.is_in_plane(face, least))
+        });
+        let tip = if simple { least } else { u32::MAX };
+        let cone = listed.iter().filter(|f| !simple || !of(f).ring.contains(&least)).flat_map(|f| {
+            // Seen from inside of the cell a face that it is behind turns clockwise.
+            let turned = f & 1 == 0;
+            of(f)
+                .triangles
+                .iter()
+                .map(move |[a, b, c]| if turned { [*a, *b, *c, tip] } else { [*a, *c, *b, tip] })
+        });
+        let tetrahedra = cone.collect();
+        let middle = (!simple).then(|| {
+            let mut all: Vec<u32> = listed.iter().flat_map(|f| &of(f).ring).copied().collect();
+            all.sort_unstable();
+            all.dedup();
+            let mut sum = [0.0; 3];
+            for v in &all {
+                let place = self.cells.place(*v);
+                (0..3).for_each(|k| sum[k] += place[k] / all.len() as f64);
+            }
+            sum
+        });
+        (tetrahedra, middle)
+    }
+
+    fn is_in_plane(&self, face: &Face, vertex: u32) -> bool {
+        let Some([a, b, c]) = face.triangles.first() else { return true };
+        let [a, b, c, v] = [*a, *b, *c, vertex].map(|v| &self.places[v as usize]);
+        let of = |v: &Place| self.field.difference(v, a);
+        self.field.dot(&self.field.cross(&of(b), &of(c)), &of(v)) == [0; 2]
+    }
+}
+
+/// Where the least vertex of a ring is.
+fn least(ring: &[u32]) -> usize {
+    (0..ring.len()).min_by_key(|k| ring[*k]).unwrap_or(0)
+}
+
+/// The triangles from one corner of a ring to its other sides.
+fn fan(ring: &[u32], from: usize) -> Vec<[u32; 3]> {
+    let n = ring.len();
+    let at = |k: usize| ring[(from + k) % n];
+    (1..n.saturating_sub(1)).map(|k| [ring[from], at(k), at(k + 1)]).collect()
+}
+
+/// For edges on one line: the vertices of others between their ends.
+fn between(integers: &Integers<'_>, group: &[([Place; 2], (u32, u32))]) -> Vec<((u32, u32), Vec<u32>)> {
+    let mut vertices: Vec<u32> = group.iter().flat_map(|(_, (a, b))| [*a, *b]).collect();
+    vertices.sort_unstable();
+    vertices.dedup();
+    let whole: Vec<(u32, [IBig; 4])> =
+        vertices.iter().map(|v| (*v, integers.vertex(*v).unwrap_or_default())).collect();
+    // Two places on a line differ along the axis along which any two do.
+    let less = |axis: usize, p: &[IBig; 4], q: &[IBig; 4]| (&p[axis] * &q[3]).cmp(&(&q[axis] * &p[3]));
+    let apart = |axis: &usize| match &whole[..] {
+        [first, second, ..] => less(*axis, &first.1, &second.1).is_ne(),
+        _ => false,
+    };
+    let axis = (0..3).find(apart).unwrap_or(0);
+    let mut order: Vec<&(u32, [IBig; 4])> = whole.iter().collect();
+    order.sort_by(|p, q| less(axis, &p.1, &q.1));
+    let order: Vec<u32> = order.into_iter().map(|(v, _)| *v).collect();
+    let rank: FxHashMap<u32, usize> = order.iter().enumerate().map(|(k, v)| (*v, k)).collect();
+    let inner = group.iter().filter_map(|(_, (a, b))| {
+        let (from, to) = (rank[a], rank[b]);
+        let mut inner: Vec<u32> = order[from.min(to) + 1..from.max(to)].to_vec();
+        if from > to {
+            inner.reverse();
+        }
+        (!inner.is_empty()).then_some(((*a, *b), inner))
+    });
+    inner.collect()
+}
+
+fn gather(contents: &Contents<'_>, faces: &[Face], parts: Vec<(Vec<[u32; 4]>, Option<[f64; 3]>)>) -> Divided {
+    let cells = contents.cells;
+    let vertices = cells.points.len() + cells.meets.len();
+    let mut out = Divided::default();
+    let mut numbers = vec![u32::MAX; vertices];
+    let mut number = |v: u32, places: &mut Vec<[f64; 3]>| {
+        let number = &mut numbers[v as usize];
+        if *number == u32::MAX {
+            *number = places.len() as u32;
+            places.push(cells.place(v));
+        }
+        *number
+    };
+    for (cell, (tetrahedra, middle)) in (0..).zip(parts) {
+        let tip = middle.map(|middle| {
+            out.places.push(middle);
+            out.places.len() as u32 - 1
+        });
+        for corners in tetrahedra {
+            let named = corners.map(|v| match (v, tip) {
+                (u32::MAX, Some(tip)) => tip,
+                (v, _) => number(v, &mut out.places),
+            });
+            out.tetrahedra.push(named);
+            out.cells.push(cell);
+        }
+    }
+    for (f, face) in faces.iter().enumerate() {
+        for triangle in cells.face_triangles(f) {
+            for corners in &face.triangles {
+                out.faces.push(corners.map(|v| number(v, &mut out.places)));
+                out.triangles.push(*triangle);
+            }
+        }
+    }
+    out
+}
