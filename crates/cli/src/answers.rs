@@ -41,6 +41,7 @@ impl Answers for Commands {
             seed: asked.seed,
             path: None,
             pairs: 0,
+            exact: false,
             images: None,
             turntable: false,
             resolution: asked.resolution,

@@ -128,17 +128,13 @@ pub enum Command {
     Query(QueryArgs),
     /// Measure the fraction of wrong pixels from random viewpoints or along a camera path.
     Measure(MeasureArgs),
-    /// Decide exactly for pairs of polygons whether one sees the other.
     Sightlines(SightlinesArgs),
     /// Decide exactly whether a line passes through a sequence of polygons.
     Stab(StabArgs),
-    /// Divide the space between surfaces into cells, to look from points.
     Tetra(TetraArgs),
-    /// Look from points at run time: what is seen, exactly or through portals, and what share of a box.
     Look(LookArgs),
     /// Put ambient occlusion without noise into a scene's own file, or tell it at points.
     Ambient(AmbientArgs),
-    /// Check every witness and every certificate of a result with an independent checker.
     Verify(VerifyArgs),
     /// Look at a result in a browser: walk through the scene as each cell draws it, and click to see why.
     View(ViewArgs),
@@ -374,7 +370,7 @@ pub struct QueryArgs {
     pub kinds: KindArgs,
 }
 
-/// Checks every claim of a result with a checker that shares no code with the search.
+/// Check every claim of a result with a checker that shares no code with the search
 ///
 /// In every cell each triangle with an area must be accounted for: it meets the cell, or it has a witness (an
 /// unobstructed segment from the cell to the triangle), or it has a certificate that it is hidden, or it is
@@ -436,6 +432,10 @@ pub struct MeasureArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     #[arg(value_parser = clap::value_parser!(u64).range(0..=10_000_000_000))]
     pub pairs: u64,
+    /// Measure without pixels: the part of all directions in which a triangle is seen that is not in the set,
+    /// by exact sets from the viewpoints. Needs no backend and finds what falls between pixels.
+    #[arg(long, conflicts_with_all = ["resolution", "backend", "images", "turntable", "pairs"])]
+    pub exact: bool,
     /// Side of one face of a cube in pixels, 8 to 4096.
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,
@@ -452,19 +452,23 @@ pub struct MeasureArgs {
     pub turntable: bool,
 }
 
-/// Decides for pairs of convex polygons whether one sees the other among the triangles of a scene.
+/// Decide exactly for pairs of polygons whether one sees the other
 ///
-/// Every blocking triangle obstructs, except a triangle in the plane of a or of b. Each line of the input is
-/// a query and gets one line as its answer, in order. The time of a query is in microseconds.
+/// Polygons are convex. Every blocking triangle obstructs, except a triangle in the plane of a or of
+/// b. Each line of the input is a query and gets one line as its answer, in order. The time of a
+/// query is in microseconds.
 ///
-///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}                           a query
-///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}  an unobstructed segment from a to b
-///   {"id":1,"state":"hidden","blockers":[ids],"micros":…}              proved; the triangles the proof names
-///   {"id":1,"state":"undecided","reason":"…","micros":…}               the limits did not suffice
+///   {"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}    a query
+///   {"id":1,"state":"visible","witness":[[x,y,z],[x,y,z]],"micros":…}
+///                                               an unobstructed segment from a to b
+///   {"id":1,"state":"hidden","blockers":[ids],"micros":…}
+///                                               proved; the triangles the proof names
+///   {"id":1,"state":"undecided","reason":"…","micros":…}
+///                                               the limits did not suffice
 ///
-/// No tolerance decides: a gap of a millionth of a wall's width transmits sight, the common edge of two
-/// triangles does not. A polygon that is visible only along single lines, such as along an edge, counts as
-/// hidden. Two polygons in one plane are hidden from each other, with no blockers.
+/// No tolerance decides: a gap of a millionth of a wall's width transmits sight, the common edge of
+/// two triangles does not. A polygon that is visible only along single lines, such as along an edge,
+/// counts as hidden. Two polygons in one plane are hidden from each other, with no blockers.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]
 pub struct SightlinesArgs {

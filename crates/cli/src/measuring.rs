@@ -4,12 +4,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use serde_json::Value;
-use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_pairs};
+use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_exact, measure_pairs};
 use sightline_places::points::Weighted;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_scene::Scene;
+use sightline_tetra::look::{Hierarchy, Looker};
+use sightline_tetra::surfaces::Surfaces;
 
 use crate::args::MeasureArgs;
 use crate::backends::{open_backend, say_other};
@@ -75,8 +77,10 @@ pub fn measured(
     let scene = Arc::new(opening::read_for(source, &args.kinds, pvs, &args.result)?);
     let value = measured_in(args, pvs, scene, (on_path, given), progress)?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    let [made, judged] = [&info["profile"], &value["backend"]].map(|p| p.as_str().unwrap_or_default());
-    say_other(made, judged);
+    if !args.exact {
+        let [made, judged] = [&info["profile"], &value["backend"]].map(|p| p.as_str().unwrap_or_default());
+        say_other(made, judged);
+    }
     Ok(value)
 }
 
@@ -103,13 +107,16 @@ pub fn measured_in(
         // Viewpoints are only in some of the cells, or in a region.
         (None, None) => Viewpoints::random_where(args.viewpoints, args.seed, view_box, is_place),
     };
+    // A result whose lines end at a distance is judged up to that distance.
+    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let far = info["sampling"]["far"].as_f64();
+    if args.exact {
+        return exactly(args, pvs, &scene, &views, far, progress);
+    }
     let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
     let (profile, backend) = open_backend(args.backend, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(scene)?;
-    // A result whose lines end at a distance is judged up to that distance.
-    let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    let far = info["sampling"]["far"].as_f64();
     let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options {
         images_dir: args.images.clone(),
@@ -135,6 +142,33 @@ pub fn measured_in(
         value["cell_to_cell"] = serde_json::to_value(pairs).map_err(CliError::internal)?;
     }
     Ok(value)
+}
+
+/// Measures a result by exact sets from the viewpoints.
+fn exactly(
+    args: &MeasureArgs,
+    pvs: &Pvs,
+    scene: &Scene,
+    views: &Viewpoints,
+    far: Option<f64>,
+    progress: &mut dyn FnMut(u64, u64) -> bool,
+) -> Result<Value, CliError> {
+    if !scene.sides().are_both() {
+        return Err(CliError::Input(format!(
+            "back faces are culled for {}, and exact sets are about triangles that are met from both sides; \
+             leave out --exact",
+            args.result.display()
+        )));
+    }
+    opening::without_masks(scene)?;
+    let surfaces = Surfaces::new(scene)?;
+    let hierarchy = Hierarchy::new(surfaces.view());
+    let looker = Looker::new(surfaces.view(), hierarchy.view());
+    let report = measure_exact(&looker, pvs, views, far, WORST, progress).map_err(|e| match e {
+        MeasureError::Stopped { .. } => CliError::Interrupted(e.to_string()),
+        e => CliError::Input(e.to_string()),
+    })?;
+    serde_json::to_value(report).map_err(CliError::internal)
 }
 
 /// The viewpoints of --viewpoints-file that are in reached cells.

@@ -56,7 +56,9 @@ impl Watch for Follower {
             Stage::Cut => "tetrahedra cut",
             Stage::Faces => "tetrahedra gathered",
         };
-        self.progress.count_so_far(done, total, what);
+        if done > 0 {
+            self.progress.count_so_far(done, total, what);
+        }
     }
 
     fn needs(&self, bytes: u64) -> Result<(), String> {

@@ -6,13 +6,13 @@ use clap::{Args, ValueEnum};
 
 use crate::kind_args::KindArgs;
 
-/// Divides the space between the surfaces of a scene into convex cells, for `look`: what is seen from a point.
+/// Divide the space between the surfaces of a scene into convex cells, for `look`
 ///
-/// Any triangles will do: they may cross, overlap, leave gaps, or have no area. Every triangle with an area
-/// becomes a union of faces, and nothing is moved or rounded.
+/// Any triangles will do: they may cross, overlap, leave gaps, or have no area. Every triangle with
+/// an area becomes a union of faces, and nothing is moved or rounded.
 ///
-///   sightline tetra town.glb -o town.tets           build
-///   sightline tetra --check town.glb town.tets      check a file, by other code and with integers alone
+///   sightline tetra town.glb -o town.tets          build
+///   sightline tetra --check town.glb town.tets     check a file, by other code with integers
 ///   echo '{"id":1,"point":[1,2,3]}' | sightline look town.tets --points -
 #[derive(Args, Debug)]
 #[command(
@@ -70,23 +70,24 @@ pub enum LookEngine {
     Bvh,
 }
 
-/// Looks from points at run time.
+/// Look from points at run time: what is seen, and what share of a box
 ///
-/// A .tets file of `sightline tetra` answers what is seen from a point, exactly or up to an angle, in a cone
-/// or in all directions, and what share of a box's picture is visible:
+/// A .tets file of `sightline tetra` answers what is seen from a point, exactly or up to an angle,
+/// in a cone or in all directions, and what share of a box's picture is visible. All but the point
+/// may be left out. The fov is the full angle of a round cone in degrees, 90 if none is given;
+/// "distance" ends the view:
 ///
 ///   {"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":DEG,"distance":D,
-///    "targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}                      all but the point may be left out
-///   {"id":1,"visible":[ids],"areas":[steradians],"witnesses":[[x,y,z]],"sky":…,"dropped":…,"inside":false,
-///    "targets":[{"id":1,"fraction":0.37}],"cells":n,"beams":n,"micros":n}
+///    "targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}
+///   {"id":1,"visible":[ids],"areas":[steradians],"witnesses":[[x,y,z]],"sky":…,"dropped":…,
+///    "inside":false,"targets":[{"id":1,"fraction":0.37}],"cells":n,"beams":n,"micros":n}
 ///
-/// A result with portals (.pvs) answers with the triangles of a cell's set that are in the view and not behind
-/// walls:
+/// A result with portals (.pvs) answers with the triangles of a cell's set that are in the view and
+/// not behind walls. The angles are full ones in degrees, and "shut" may be left out:
 ///
 ///   {"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[h,v],"shut":["door"]}
 ///   {"id":1,"cell":7,"visible":[ids],"micros":…}
 ///
-/// Angles are full ones in degrees, the fov of a point is that of a round cone, and "distance" ends the view.
 /// Answers come in the order of the lines.
 #[derive(Args, Debug)]
 #[command(verbatim_doc_comment)]

@@ -80,6 +80,9 @@ pub enum MeasureError {
     /// Rendering failed.
     #[error(transparent)]
     Backend(#[from] sightline_sampling::BackendError),
+    /// A viewpoint is out of range.
+    #[error(transparent)]
+    Look(#[from] sightline_tetra::LookError),
     /// The result cannot be decoded.
     #[error(transparent)]
     Pvs(#[from] sightline_pvs::PvsError),

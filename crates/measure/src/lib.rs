@@ -28,6 +28,7 @@
 
 pub mod camera;
 pub mod error;
+pub mod exact;
 pub mod images;
 pub mod measure;
 pub mod pairs;
@@ -40,6 +41,7 @@ pub mod viewpoints;
 
 pub use camera::Camera;
 pub use error::MeasureError;
+pub use exact::{ExactReport, measure_exact};
 pub use measure::{Options, measure};
 pub use pairs::{PairReport, measure_pairs};
 pub use portrait::Portrait;

@@ -101,7 +101,7 @@ impl Durations {
 }
 
 /// The nearest-rank percentile of ascending values, `percent` in 1…100; `None` when there are none.
-pub(crate) fn nearest_rank(ascending: &[u64], percent: u64) -> Option<u64> {
+pub(crate) fn nearest_rank<T: Copy>(ascending: &[T], percent: u64) -> Option<T> {
     let rank = (ascending.len() as u64 * percent).div_ceil(100);
     ascending.get(usize::try_from(rank).ok()?.checked_sub(1)?).copied()
 }
@@ -117,7 +117,7 @@ mod tests {
         assert_eq!(nearest_rank(&hundred, 100), Some(100));
         assert_eq!(nearest_rank(&[3, 8], 99), Some(8));
         assert_eq!(nearest_rank(&[3, 8], 50), Some(3));
-        assert_eq!(nearest_rank(&[], 99), None);
+        assert_eq!(nearest_rank::<u64>(&[], 99), None);
     }
 
     #[test]

@@ -153,7 +153,7 @@ def _viewpoints(value: Any, folder: str) -> Iterable[str]:
 
 _TEXTS: Dict[str, Texts] = {
     **dict.fromkeys(
-        ("certificates", "contributions", "no_solids", "alpha_textures", "cull_back_faces", "all", "dry_run"),
+        ("certificates", "contributions", "no_solids", "alpha_textures", "cull_back_faces", "all", "dry_run", "exact"),
         _switch,
     ),
     **dict.fromkeys(("see_through", "occluder_only", "moving", "doors", "opaque"), _globs),

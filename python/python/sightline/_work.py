@@ -71,6 +71,7 @@ def measure(
     pairs: int = 0,
     images: Optional[_options.Path] = None,
     backend: str = "auto",
+    exact: bool = False,
     progress: Optional[_progress.OnProgress] = None,
     **kinds: Unpack[_options.KindOptions],
 ) -> Dict[str, Any]:
@@ -81,17 +82,21 @@ def measure(
     path: a file with a camera path instead.
     pairs: also measures which cells see which, with this many random pairs of points.
     images: a folder for images of the worst frames.
+    exact: without pixels, by exact sets from the viewpoints; resolution, pairs, images and backend are not used.
     kinds: what blocks and shows; by default as in the bake.
 
-    Returns what the command prints: `mean_error`, `p99_error` and `max_error` as fractions of a frame's pixels,
-    `frames`, `worst` and more.
+    Returns what the command prints: `mean_error`, `p99_error` and `max_error` as fractions of a frame's pixels, or
+    of all directions with exact, `frames`, `worst` and more.
     """
-    given: Dict[str, Any] = {"seed": seed, "resolution": resolution, "pairs": pairs, "images": images}
-    given.update({"backend": backend, **kinds})
+    given: Dict[str, Any] = {"seed": seed, **kinds}
+    if exact:
+        given["exact"] = True
+    else:
+        given.update({"resolution": resolution, "pairs": pairs, "images": images, "backend": backend})
     if path is not None:
         given["path"] = path
     with _options.folder() as folder:
-        known = (*_KINDS, "seed", "resolution", "path", "pairs", "images", "backend", "viewpoints_file")
+        known = (*_KINDS, "seed", "resolution", "path", "pairs", "images", "backend", "exact", "viewpoints_file")
         if isinstance(viewpoints, int) and not isinstance(viewpoints, bool):
             count = [] if path is not None else [f"--viewpoints={viewpoints}"]
         else:
