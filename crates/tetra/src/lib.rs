@@ -9,6 +9,8 @@ pub mod check;
 pub mod delaunay;
 pub mod divide;
 pub mod file;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod look;
 pub mod surfaces;
 mod watch;

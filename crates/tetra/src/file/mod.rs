@@ -3,7 +3,7 @@
 
 mod contents;
 mod error;
-mod layout;
+pub(crate) mod layout;
 mod tets;
 mod write;
 

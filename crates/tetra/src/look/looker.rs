@@ -140,6 +140,7 @@ impl<'a> Looker<'a> {
         scratch.stack.clear();
         scratch.planes.list.clear();
         (scratch.planes.decided, scratch.planes.integers) = (0, 0);
+        scratch.entered.begin(self.cells.map_or(0, |cells| cells.cell_count()));
         scratch.tally.begin(self.surfaces.triangles.len(), view.witnesses);
         let seen = &mut scratch.seen;
         (seen.sky, seen.unseen, seen.dropped, seen.cells, seen.beams) = (0.0, 0.0, 0.0, 0, 0);
@@ -207,6 +208,7 @@ impl<'a> Looker<'a> {
             let faces = [[around[0], around[1], around[2]]];
             scratch.stack.clear();
             scratch.planes.list.clear();
+            scratch.entered.begin(self.cells.map_or(0, |cells| cells.cell_count()));
             scratch.tally.begin(self.surfaces.triangles.len(), false);
             let eye = Eye::new(x, self.points, &corners, self.unit);
             let sides: [_; 4] =

@@ -14,10 +14,47 @@ pub struct Scratch {
     pub(super) beam: Beam,
     pub(super) rings: Rings,
     pub(super) tally: Tally,
+    pub(super) entered: Entered,
     /// The cell of the last viewpoint, where the search for the next one begins.
     pub(super) hint: Option<u32>,
     /// The answer of the last query.
     pub seen: Seen,
+}
+
+/// The cells that a beam has entered, and those of which it is a part.
+#[derive(Default)]
+pub(super) struct Entered {
+    list: Vec<u32>,
+    is_in: Vec<bool>,
+}
+
+impl Entered {
+    /// Begins a query among so many cells.
+    pub fn begin(&mut self, cells: usize) {
+        self.truncate(0);
+        self.is_in.resize(cells, false);
+    }
+
+    /// Forgets all but the first that were added.
+    pub fn truncate(&mut self, length: usize) {
+        self.list.drain(length..).for_each(|cell| self.is_in[cell as usize] = false);
+    }
+
+    /// Whether a cell was added.
+    pub fn holds(&self, cell: u32) -> bool {
+        self.is_in[cell as usize]
+    }
+
+    /// Adds a cell.
+    pub fn add(&mut self, cell: u32) {
+        self.is_in[cell as usize] = true;
+        self.list.push(cell);
+    }
+
+    /// How many were added.
+    pub fn len(&self) -> usize {
+        self.list.len()
+    }
 }
 
 /// Rings that are made on the way.

@@ -17,7 +17,7 @@ use super::hierarchy::Node;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
 use super::rounded::{Number, Rounded, U};
 use super::scratch::Scratch;
-use super::space::Space;
+use super::space::{Space, THROUGH_FACE};
 use super::stack::{Beam, Entry};
 use super::view::{Mode, Seen};
 use super::within::Limits;
@@ -55,7 +55,7 @@ impl Search<'_> {
             space.start(&self.eye, hint, &mut rings.start);
         }
         for signs in 0..8 {
-            let Scratch { planes, stack, beam, rings, .. } = &mut *self.scratch;
+            let Scratch { planes, stack, beam, rings, entered, .. } = &mut *self.scratch;
             beam::octant(planes, &self.eye, signs, &mut rings.inside);
             let missed = sides.iter().any(|side| {
                 match beam::place(planes, &self.eye, &rings.inside, *side, &mut rings.signs) {
@@ -88,15 +88,16 @@ impl Search<'_> {
                 beam.pending.push(Entry { key: 0.0, first: 0, count: 0 });
             }
             self.begun += area(&rings.inside);
-            stack.push(beam, &rings.inside, caps, false, planes.list.len());
+            stack.push(beam, &rings.inside, caps, false, (planes.list.len(), entered.len()));
         }
     }
 
     /// Ends all beams.
     pub fn run(&mut self) {
         let mut beam = std::mem::take(&mut self.scratch.beam);
-        while let Some(planes) = self.scratch.stack.pop(&mut beam) {
+        while let Some((planes, entered)) = self.scratch.stack.pop(&mut beam) {
             self.scratch.planes.list.truncate(planes);
+            self.scratch.entered.truncate(entered);
             self.follow(&mut beam);
         }
         self.scratch.beam = beam;
@@ -106,9 +107,9 @@ impl Search<'_> {
     fn follow(&mut self, beam: &mut Beam) {
         let mut cap = beam.caps.first().and_then(|t| self.facing(*t));
         while let Some(entry) = beam.pending.pop() {
-            if entry.count == 0 {
+            if matches!(entry.count, 0 | THROUGH_FACE) {
                 match self.scene.space {
-                    Some(_) => self.enter(beam, cap.as_ref(), entry.first),
+                    Some(_) => self.enter(beam, cap.as_ref(), &entry),
                     None => self.open(beam, cap.as_ref(), entry.first),
                 }
                 continue;
@@ -160,13 +161,21 @@ impl Search<'_> {
         }
     }
 
-    /// Goes into a cell.
-    fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, cell: u32) {
-        self.scratch.seen.cells += 1;
+    /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part of
+    /// has been there: what that found waits already.
+    fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, entry: &Entry) {
         let Some(space) = &self.scene.space else { return };
-        let (planes, flags) = (&self.scratch.planes, self.scene.flags);
+        let Scratch { planes, entered, seen, .. } = &mut *self.scratch;
+        let cell = space.cell_of(entry);
+        if entered.holds(cell) || !space.is_reached(&self.eye, planes, (&beam.ring, cap), entry) {
+            return;
+        }
+        entered.add(cell);
+        seen.cells += 1;
+        let flags = self.scene.flags;
         let blocks = |t: u32| flags[t as usize] & BLOCKS != 0;
-        space.leave(&self.eye, planes, (&beam.ring, cap), cell, blocks, &mut beam.pending);
+        let is_entered = |cell: u32| entered.holds(cell);
+        space.leave(&self.eye, planes, (&beam.ring, cap), cell, (blocks, is_entered), &mut beam.pending);
     }
 
     fn points(&self, triangle: u32) -> [u32; 3] {
@@ -192,7 +201,7 @@ impl Search<'_> {
         let eye = &self.eye;
         // In its plane: an edge of it is all that could be seen.
         let Some(facing) = Facing::of(eye, points) else { return false };
-        let Scratch { planes, stack, rings, seen, .. } = &mut *self.scratch;
+        let Scratch { planes, stack, rings, seen, entered, .. } = &mut *self.scratch;
         let ways = facing.points.map(|p| eye.to(p));
         let beside = |edge: &Edge| {
             let n = planes.normal(edge.side);
@@ -286,7 +295,7 @@ impl Search<'_> {
             }
             return false;
         }
-        let made = planes.list.len();
+        let made = (planes.list.len(), entered.len());
         let keep = |ring: &[Edge], seen: &mut Seen| keep(self.mode, planes, ring, &self.limits, seen);
         for out in &rings.out[..parts] {
             if let Some(whole) = keep(out, seen) {

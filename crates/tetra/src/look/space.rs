@@ -12,6 +12,9 @@ use super::planes::{Facing, Planes};
 use super::rounded::{Number, Rounded, U};
 use super::stack::Entry;
 
+/// In place of a number of triangles: a cell to enter by the face that is listed.
+pub const THROUGH_FACE: u32 = u32::MAX;
+
 /// The cells, and how far their rounded vertices may be off.
 pub struct Space<'a> {
     cells: CellsView<'a>,
@@ -154,6 +157,23 @@ impl<'a> Space<'a> {
         nearest.map(|cell| cell as u32)
     }
 
+    /// The cell that an entry is about.
+    pub fn cell_of(&self, entry: &Entry) -> u32 {
+        if entry.count == THROUGH_FACE { self.beyond(entry.first) } else { entry.first }
+    }
+
+    /// Whether a beam may still go through the face by which an entry is to be entered. It has become narrower
+    /// since the entry was made.
+    pub fn is_reached(
+        &self,
+        eye: &Eye<'_>,
+        planes: &Planes,
+        beam: (&[Edge], Option<&Facing>),
+        entry: &Entry,
+    ) -> bool {
+        entry.count != THROUGH_FACE || self.overlaps(eye, planes, beam, (entry.first >> 1) as usize).is_some()
+    }
+
     /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond
     /// those that nothing blocks. The nearest is pushed last.
     pub fn leave(
@@ -162,28 +182,34 @@ impl<'a> Space<'a> {
         planes: &Planes,
         (ring, cap): (&[Edge], Option<&Facing>),
         cell: u32,
-        blocks: impl Fn(u32) -> bool,
+        (blocks, is_entered): (impl Fn(u32) -> bool, impl Fn(u32) -> bool),
         pending: &mut Vec<Entry>,
     ) {
+        let before = pending.len();
         for listed in self.cells.faces_of(cell as usize) {
             let face = (listed >> 1) as usize;
             if self.way(eye, *listed) != Way::Out {
                 continue;
             }
-            let Some(key) = self.overlaps(eye, planes, (ring, cap), face) else { continue };
+            let other = self.beyond(*listed);
             let triangles = self.cells.face_triangles(face);
+            let passes = other != NONE && !is_entered(other) && !triangles.iter().any(|t| blocks(*t));
+            if triangles.is_empty() && !passes {
+                continue;
+            }
+            let Some(key) = self.overlaps(eye, planes, (ring, cap), face) else { continue };
             for triangle in triangles {
                 pending.push(Entry { key: -1.0, first: *triangle, count: 1 });
             }
-            let other = self.beyond(*listed);
-            let passes = !triangles.iter().any(|t| blocks(*t));
-            if passes && other != NONE && !pending.iter().any(|e| e.count == 0 && e.first == other) {
-                pending.push(Entry { key, first: other, count: 0 });
+            if passes {
+                pending.push(Entry { key, first: *listed, count: THROUGH_FACE });
             }
         }
         // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order
         // already.
-        pending.sort_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
+        if pending.len() > before {
+            pending.sort_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
+        }
     }
 
     /// Whether a beam may overlap a face in front of its cap, and the square of how far away the face's

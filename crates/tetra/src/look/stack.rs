@@ -38,7 +38,8 @@ struct Top {
     pending: usize,
     caps: usize,
     met: usize,
-    planes: usize,
+    /// Number of planes, and of cells that were entered.
+    made: (usize, usize),
     whole: bool,
 }
 
@@ -53,14 +54,15 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Puts a part of a beam on the stack. `planes` is the number of planes that exist.
-    pub fn push(&mut self, beam: &Beam, ring: &[Edge], caps: &[u32], whole: bool, planes: usize) {
+    /// Puts a part of a beam on the stack. `made` are the numbers of planes that exist, and of cells that the beam
+    /// has entered.
+    pub fn push(&mut self, beam: &Beam, ring: &[Edge], caps: &[u32], whole: bool, made: (usize, usize)) {
         self.tops.push(Top {
             ring: self.ring.len(),
             pending: self.pending.len(),
             caps: self.caps.len(),
             met: self.met.len(),
-            planes,
+            made,
             whole,
         });
         self.ring.extend_from_slice(ring);
@@ -69,8 +71,8 @@ impl Stack {
         self.met.extend_from_slice(&beam.met);
     }
 
-    /// Takes the last beam; says how many planes it and the beams below it need.
-    pub fn pop(&mut self, beam: &mut Beam) -> Option<usize> {
+    /// Takes the last beam; says how many planes it and the beams below it need, and how many cells it has entered.
+    pub fn pop(&mut self, beam: &mut Beam) -> Option<(usize, usize)> {
         let top = self.tops.pop()?;
         fn take<T: Copy>(all: &mut Vec<T>, from: usize, to: &mut Vec<T>) {
             to.clear();
@@ -82,7 +84,7 @@ impl Stack {
         take(&mut self.caps, top.caps, &mut beam.caps);
         take(&mut self.met, top.met, &mut beam.met);
         beam.whole = top.whole;
-        Some(top.planes)
+        Some(top.made)
     }
 
     /// Forgets all beams.

@@ -1,0 +1,214 @@
+//! What exact sets from points cost: `look SCENE… [--points N] [--seed S] [--skip-cells]`.
+//!
+//! For each scene: how long its cells take to build; then from random points of its box that are in no closed
+//! solid, by both engines and in all modes, the time, the cells and the beams of a point, beside six item
+//! buffers of 512² by Embree from the same points; and a box's visible share beside rays to it. One thread does
+//! everything but build. Times are means; ratios are those of whole runs. A table in Markdown.
+
+#![allow(clippy::print_stdout, reason = "a program for people at a terminal")]
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use clap::Parser;
+use glam::Vec3;
+use sightline_numbers::random::SplitMix64;
+use sightline_sampling::embree::CpuBackend;
+use sightline_sampling::packet::{LANES, Packet};
+use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata};
+use sightline_scene::Scene;
+use sightline_tetra::file::write;
+use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, build};
+
+type AnyError = Box<dyn std::error::Error>;
+
+#[derive(Parser)]
+struct Args {
+    /// Scenes: .obj, .ply, .gltf or .glb.
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// Points of each scene.
+    #[arg(long, default_value_t = 24)]
+    points: u32,
+    /// Seed of the points.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The angle of the modes that have one, in degrees.
+    #[arg(long, default_value_t = 0.2)]
+    angle: f64,
+    /// Leave out the engine that goes through cells.
+    #[arg(long)]
+    skip_cells: bool,
+}
+
+fn main() -> Result<(), AnyError> {
+    let args = Args::parse();
+    for path in &args.scenes {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let scene = Arc::new(sightline_scene::load(path)?);
+        let start = Instant::now();
+        let built = build(&scene, &Quiet)?;
+        let seconds = start.elapsed().as_secs_f64();
+        let mut file = Vec::new();
+        write(&mut file, &built.contents())?;
+        println!("\n### {name}\n");
+        println!(
+            "{} triangles, {} Delaunay tetrahedra, {} cut, {} cells, {} added vertices, {:.2} cells a triangle, \
+             {:.2} % of {} signs in integers; built in {seconds:.1} s; {:.0} MB\n",
+            scene.len(),
+            built.tetrahedra,
+            built.counts.cut,
+            built.cells.view().cell_count(),
+            built.cells.meets.len(),
+            built.cells.view().cell_count() as f64 / f64::from(scene.len()),
+            100.0 * built.counts.decisions.integers as f64 / built.counts.decisions.all.max(1) as f64,
+            built.counts.decisions.all,
+            file.len() as f64 / 1e6
+        );
+        drop(built);
+        let tets = Tets::from_bytes(&file)?;
+        drop(file);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+        pool.install(|| measured(&args, &scene, &tets))?;
+    }
+    Ok(())
+}
+
+/// Random points of the scene's box that are in no closed solid.
+fn points(args: &Args, scene: &Scene, tets: &Tets) -> Result<Vec<Vec3>, AnyError> {
+    let (mut stream, mut scratch, mut out) = (SplitMix64::new(args.seed), Scratch::default(), Vec::new());
+    let bounds = scene.bounds();
+    while out.len() < args.points as usize {
+        let part = Vec3::new(stream.unit_f32(), stream.unit_f32(), stream.unit_f32());
+        let x = bounds.min + (bounds.max - bounds.min) * part;
+        if !tets.inside(x.as_dvec3().to_array(), &mut scratch)? {
+            out.push(x);
+        }
+    }
+    Ok(out)
+}
+
+fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError> {
+    let points = points(args, scene, tets)?;
+    let spec = CubeSpec { resolution: 512, strata: Strata::One, keep_pixels: false };
+    let embree = CpuBackend::new(scene.clone(), spec)?;
+    let renderer = embree.prepare(None)?;
+    // The first one of a kind takes memory.
+    renderer.image(points[0])?;
+    let start = Instant::now();
+    let mut drawn = 0usize;
+    for x in &points {
+        let mut ids = renderer.image(*x)?.ids;
+        ids.sort_unstable();
+        ids.dedup();
+        drawn += ids.len();
+    }
+    let buffers = start.elapsed().as_secs_f64() / points.len() as f64;
+    println!(
+        "| mode | engine | ms | of six item buffers | seen | µs a triangle seen | cells or boxes | beams | dropped |"
+    );
+    println!("|---|---|---|---|---|---|---|---|---|");
+    println!(
+        "| six item buffers | Embree | {:.1} | 1 | {:.0} | | | | |",
+        buffers * 1e3,
+        drawn as f64 / points.len() as f64
+    );
+    let angle = args.angle.to_radians();
+    let modes = [
+        ("exact".to_owned(), Mode::Exact),
+        (format!("aggressive {}°", args.angle), Mode::Aggressive(angle)),
+        (format!("conservative {}°", args.angle), Mode::Conservative(angle)),
+    ];
+    let mut scratch = Scratch::default();
+    for (name, mode) in &modes {
+        for (by, engine) in [("bvh", Engine::Boxes), ("tetra", Engine::Cells)] {
+            if args.skip_cells && engine == Engine::Cells {
+                continue;
+            }
+            let view = View { engine, ..View::default() };
+            tets.look(points[0].as_dvec3().to_array(), &view, *mode, &mut scratch)?;
+            let (mut seen, mut cells, mut beams, mut dropped) = (0usize, 0u64, 0u64, 0.0);
+            let start = Instant::now();
+            for x in &points {
+                let found = tets.look(x.as_dvec3().to_array(), &view, *mode, &mut scratch)?;
+                seen += found.visible.len();
+                cells += found.cells;
+                beams += found.beams;
+                dropped += found.dropped;
+            }
+            let seconds = start.elapsed().as_secs_f64();
+            let of = |sum: f64| sum / points.len() as f64;
+            println!(
+                "| {name} | {by} | {:.1} | {:.2} | {:.0} | {:.1} | {:.0} | {:.0} | {:.1e} |",
+                of(seconds) * 1e3,
+                of(seconds) / buffers,
+                of(seen as f64),
+                seconds * 1e6 / seen.max(1) as f64,
+                of(cells as f64),
+                of(beams as f64),
+                of(dropped)
+            );
+        }
+    }
+    targets(args, scene, tets, &points, &embree)
+}
+
+/// Boxes of a person's size by the scene's, seen from the points: shares of their pictures, and rays to random
+/// places in them.
+fn targets(
+    args: &Args,
+    scene: &Scene,
+    tets: &Tets,
+    points: &[Vec3],
+    embree: &CpuBackend,
+) -> Result<(), AnyError> {
+    let ids: Vec<u32> = (0..scene.len()).filter(|id| scene.blocks(*id)).collect();
+    let tracer = embree.lines(LineSet::Blocking, &ids)?;
+    let (bounds, mut stream) = (scene.bounds(), SplitMix64::new(args.seed + 1));
+    let extent = bounds.max - bounds.min;
+    let half = Vec3::splat(extent.max_element() / 200.0);
+    let mut unit = || Vec3::new(stream.unit_f32(), stream.unit_f32(), stream.unit_f32());
+    let boxes: Vec<(Vec3, Vec3)> = points.iter().map(|x| (*x, bounds.min + extent * unit())).collect();
+    println!("\n| a box's share | µs | shown | mean difference from the share |");
+    println!("|---|---|---|---|");
+    let mut scratch = Scratch::default();
+    let mut exact = Vec::new();
+    for (by, engine) in [("bvh", Engine::Boxes), ("tetra", Engine::Cells)] {
+        if args.skip_cells && engine == Engine::Cells {
+            continue;
+        }
+        exact.clear();
+        let start = Instant::now();
+        for (x, middle) in &boxes {
+            let [low, high] = [*middle - half, *middle + half].map(|p| p.as_dvec3().to_array());
+            let view = View { engine, ..View::default() };
+            let x = x.as_dvec3().to_array();
+            exact.push(tets.sees_in(x, &Target { low, high }, &view, Mode::Exact, &mut scratch)?);
+        }
+        let micros = start.elapsed().as_secs_f64() * 1e6 / boxes.len() as f64;
+        let shown = exact.iter().filter(|s| **s > 0.0).count();
+        println!("| exact, {by} | {micros:.0} | {shown} of {} | |", boxes.len());
+    }
+    for rays in [64usize, 1024] {
+        let (mut apart, mut shown) = (0.0, 0);
+        let mut took = 0.0;
+        for ((x, middle), share) in boxes.iter().zip(&exact) {
+            let mut packets = vec![Packet::default(); rays / LANES];
+            let ends: Vec<Vec3> = (0..rays).map(|_| *middle - half + half * 2.0 * unit()).collect();
+            let start = Instant::now();
+            for (packet, ends) in packets.iter_mut().zip(ends.chunks(LANES)) {
+                ends.iter().for_each(|end| packet.push(x.to_array(), (*end - *x).to_array()));
+                packet.distance = [1.0; LANES];
+            }
+            tracer.trace_within(&mut packets, false)?;
+            let free = packets.iter().flat_map(|p| p.distance).filter(|d| *d >= 1.0).count();
+            took += start.elapsed().as_secs_f64();
+            apart += (free as f64 / rays as f64 - share).abs();
+            shown += usize::from(free > 0);
+        }
+        let of = |sum: f64| sum / boxes.len() as f64;
+        println!("| {rays} rays | {:.0} | {shown} of {} | {:.3} |", of(took) * 1e6, boxes.len(), of(apart));
+    }
+    Ok(())
+}
