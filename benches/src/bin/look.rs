@@ -21,7 +21,7 @@ use sightline_scene::Scene;
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, build};
 
-type AnyError = Box<dyn std::error::Error>;
+type AnyError = Box<dyn std::error::Error + Send + Sync>;
 
 #[derive(Parser)]
 struct Args {

@@ -80,7 +80,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let example = r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
     let engine = match args.engine.unwrap_or_default() {
-        LookEngine::Auto => tets.engine(),
+        LookEngine::Auto => tets.engine(mode),
         LookEngine::Tetra => Engine::Cells,
         LookEngine::Bvh => Engine::Boxes,
     };

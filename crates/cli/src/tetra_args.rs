@@ -61,7 +61,7 @@ pub enum LookMode {
 /// Who answers.
 #[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LookEngine {
-    /// The faster of both, as measured (docs/look.md).
+    /// The one that measured faster for the mode and the size of the scene (docs/look.md).
     #[default]
     Auto,
     /// The cells, front to back.
@@ -104,7 +104,7 @@ pub struct LookArgs {
     /// The angle of --mode aggressive or conservative, in degrees. Default: 0.2.
     #[arg(long, value_name = "DEG", allow_hyphen_values = true, help_heading = TETS)]
     pub angle: Option<f64>,
-    /// Who answers. Sets do not depend on it.
+    /// Who answers. Exact sets do not depend on it.
     #[arg(long, value_enum, help_heading = TETS)]
     pub engine: Option<LookEngine>,
     /// Add the solid angle of each visible triangle, in steradians.

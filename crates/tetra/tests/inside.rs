@@ -4,7 +4,7 @@
 
 use glam::Vec3;
 use proptest::prelude::*;
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::{Quiet, Scratch, Tets, build};
@@ -22,11 +22,19 @@ fn cube(low: [f32; 3], high: [f32; 3], out: bool) -> Vec<T> {
 }
 
 fn tets(triangles: &[T]) -> Tets {
+    tets_with(triangles, &[])
+}
+
+/// The same with some triangles see-through.
+fn tets_with(triangles: &[T], see_through: &[u32]) -> Tets {
     let triangles: Vec<Triangle> =
         triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
     let count = triangles.len() as u32;
     let object = Object { name: "all".into(), first: 0, count };
-    let built = build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap();
+    let kind = |id: u32| if see_through.contains(&id) { Kind::SeeThrough } else { Kind::Opaque };
+    let kinds = Kinds::from_runs((0..count).map(|id| (1, kind(id), "a test")), Vec::new());
+    let scene = Scene::new("test", triangles, vec![object]).unwrap().with_kinds("test", kinds).unwrap();
+    let built = build(&scene, &Quiet).unwrap();
     assert_eq!(check(&built.contents()), Ok(()));
     let mut file = Vec::new();
     write(&mut file, &built.contents()).unwrap();
@@ -68,6 +76,12 @@ fn cavities_and_rooms_are_not_inside_and_open_boxes_hold_nothing() {
     let room = cube([0.0; 3], [4.0; 3], false);
     assert!(!inside(&tets(&room), [2.0; 3]));
     assert!(!inside(&tets(&cube([0.0; 3], [4.0; 3], true)[1..]), [2.0; 3]));
+    // A box with a window is open, and a pane on a box does not open it.
+    let closed = cube([0.0; 3], [4.0; 3], true);
+    assert!(!inside(&tets_with(&closed, &[3]), [2.0; 3]));
+    let mut with_pane = closed.clone();
+    with_pane.push([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, -1.0, 2.0]]);
+    assert!(!inside(&tets(&with_pane), [2.0; 3]) && inside(&tets_with(&with_pane, &[12]), [2.0; 3]));
     // Two solids that share a side: the side is inside of neither alone, and the tests agree on both sides.
     let mut two = cube([0.0; 3], [1.0; 3], true);
     two.extend(cube([0.25, 0.25, 0.25], [2.0; 3], true));

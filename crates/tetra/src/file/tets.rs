@@ -16,6 +16,9 @@ pub struct Tets {
     unit: i32,
 }
 
+/// From so many triangles on cells are faster than boxes for exact sets.
+const MANY: usize = 30_000;
+
 enum Bytes {
     Mapped(memmap2::Mmap),
     /// In words, so that they start at a multiple of 8, and their number of bytes.
@@ -147,8 +150,14 @@ impl Tets {
         self.looker().sees(x, target, view, mode, scratch)
     }
 
-    /// The engine that answers when none is named.
-    pub fn engine(&self) -> Engine {
-        Engine::default()
+    /// The engine that answers when none is named: the one that measured faster on scenes of this size (`look` in
+    /// the crate of benches). Without beams to cut, in the conservative mode, cells find what is in front first
+    /// and so less of what is behind.
+    pub fn engine(&self, mode: Mode) -> Engine {
+        match mode {
+            Mode::Conservative(_) => Engine::Cells,
+            Mode::Exact if self.contents().surfaces.triangles.len() >= MANY => Engine::Cells,
+            Mode::Exact | Mode::Aggressive(_) => Engine::Boxes,
+        }
     }
 }

@@ -159,7 +159,8 @@ impl<'a> Looker<'a> {
     /// What share of a box's picture is visible from `x`, in 0…1: of the solid angle of the box, as if
     /// nothing else were there, the part in which no triangle is nearer than the box and that is within the
     /// view. 1 from inside of the box; 0 for a box that has no picture. The mode's angle drops or keeps beams
-    /// as it does for sets: a conservative share is not smaller than the exact one.
+    /// as it does for sets: a conservative share is not smaller than the exact one. Signs are counted in
+    /// `scratch.seen`.
     ///
     /// # Errors
     /// [`LookError`] for numbers that are out of range.
@@ -189,6 +190,7 @@ impl<'a> Looker<'a> {
             std::array::from_fn(|k| if c >> k & 1 == 1 { target.high[k] } else { target.low[k] })
         });
         let limits = Limits::of(view);
+        (scratch.planes.decided, scratch.planes.integers) = (0, 0);
         let (mut part, mut all) = (0.0, 0.0);
         for k in 0..3 {
             let high = x[k] > target.high[k];
@@ -219,6 +221,7 @@ impl<'a> Looker<'a> {
             part += search.of_faces;
             all += search.begun;
         }
+        (scratch.seen.decided, scratch.seen.integers) = (scratch.planes.decided, scratch.planes.integers);
         Ok(if all > 0.0 { (part / all).min(1.0) } else { 0.0 })
     }
 
@@ -259,7 +262,9 @@ impl<'a> Looker<'a> {
             (0..3).all(|k| f64::from(low[k]) <= x[k] && x[k] <= f64::from(high[k]))
         };
         let eye = Eye::new(x, self.points, &[], self.unit);
-        let mut open = vec![0u32];
+        let Scratch { tally, boxes: open, .. } = scratch;
+        open.clear();
+        open.push(0);
         while let Some(number) = open.pop() {
             let Some(node) = self.boxes.nodes.get(number as usize) else { continue };
             if !holds(&node.low, &node.high) {
@@ -275,7 +280,7 @@ impl<'a> Looker<'a> {
                     && flags & SHOWS != 0
                     && super::planes::holds(&eye, self.surfaces.triangles[*t as usize])
                 {
-                    scratch.tally.see(*t);
+                    tally.see(*t);
                 }
             }
         }

@@ -160,6 +160,7 @@ impl Planes {
         let mut corner = Corner { way: way.scaled(), sides, point: NONE };
         // Also where the product is 0 beside its bound, or not a number.
         if way.error.is_nan() || way.error > POOR * way.size() {
+            self.integers += 1;
             corner.way = eye::rounded(&self.way_exactly(eye, &corner));
         }
         corner

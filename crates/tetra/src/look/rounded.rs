@@ -129,7 +129,9 @@ fn power_below(x: f64) -> (f64, f64) {
         (x.to_bits() >> 52) as i32 - 1023
     };
     let half = -exponent / 2;
-    (f64::powi(2.0, half), f64::powi(2.0, -exponent - half))
+    // Halves of exponents are far from the limits, so the bits of the exponents are all there is to it.
+    let power = |e: i32| f64::from_bits(((e + 1023) as u64) << 52);
+    (power(half), power(-exponent - half))
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@ use super::planes::Planes;
 use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
 
-/// Memory that queries use again: one for each thread. Round cones, distances, integers and the search for
-/// triangles that hold the point still allocate.
+/// Memory that queries use again: one for each thread. Round cones and distances still allocate, and so do
+/// integers where doubles do not decide a sign.
 #[derive(Default)]
 pub struct Scratch {
     pub(super) planes: Planes,
@@ -15,6 +15,8 @@ pub struct Scratch {
     pub(super) rings: Rings,
     pub(super) tally: Tally,
     pub(super) entered: Entered,
+    /// Boxes that may hold a triangle that holds the point.
+    pub(super) boxes: Vec<u32>,
     /// The cell of the last viewpoint, where the search for the next one begins.
     pub(super) hint: Option<u32>,
     /// The answer of the last query.

@@ -22,6 +22,9 @@ use super::stack::{Beam, Entry};
 use super::view::{Mode, Seen};
 use super::within::Limits;
 
+/// A part by which bounds on distances are moved: far more than their few roundings.
+const BOUND: f64 = 1e-12;
+
 /// What a search looks at.
 pub(super) struct Scene<'a> {
     pub triangles: &'a [[u32; 3]],
@@ -106,7 +109,12 @@ impl Search<'_> {
     /// Follows a beam until it ends or is divided.
     fn follow(&mut self, beam: &mut Beam) {
         let mut cap = beam.caps.first().and_then(|t| self.facing(*t));
+        let mut reach = self.reach(beam, cap.as_ref());
         while let Some(entry) = beam.pending.pop() {
+            if entry.key > reach {
+                // All boxes that wait are at least as far away.
+                break;
+            }
             if matches!(entry.count, 0 | THROUGH_FACE) {
                 match self.scene.space {
                     Some(_) => self.enter(beam, cap.as_ref(), &entry),
@@ -125,11 +133,33 @@ impl Search<'_> {
             if beam.caps.contains(&triangle) || beam.met.contains(&triangle) {
                 continue;
             }
+            let before = cap.map(|cap| cap.points);
             if self.meet(beam, &mut cap, triangle) {
                 return;
             }
+            if cap.map(|cap| cap.points) != before {
+                reach = self.reach(beam, cap.as_ref());
+            }
         }
         self.end(beam, cap.as_ref());
+    }
+
+    /// The square of how far away the cap is at most in a beam, with what rounding may add; infinite without a
+    /// cap, and where cells answer, whose keys are no bounds.
+    fn reach(&self, beam: &Beam, cap: Option<&Facing>) -> f64 {
+        let Some(cap) = cap.filter(|_| self.scene.space.is_none()) else { return f64::INFINITY };
+        // The part of the plane in the beam is convex, so a corner is its farthest place.
+        beam.ring.iter().fold(0.0, |most: f64, edge| {
+            let way = &edge.corner.way;
+            let along = cap.normal.dot(way);
+            let least = along.value - along.error;
+            if least <= 0.0 {
+                return f64::INFINITY;
+            }
+            let size = way.v.iter().fold(0.0, |sum, c| sum + (c.abs() + way.error) * (c.abs() + way.error));
+            let times = (cap.height.value + cap.height.error) / least;
+            most.max(times * times * size * (1.0 + BOUND))
+        })
     }
 
     /// Goes into a box, if some of the beam does in front of its cap.
@@ -143,22 +173,16 @@ impl Search<'_> {
             return;
         }
         self.scratch.seen.cells += 1;
+        let below = beam.pending.last().map_or(f64::INFINITY, |entry| entry.key);
         if node.count > 0 {
-            beam.pending.push(Entry { key: 0.0, first: node.first, count: node.count });
+            beam.pending.push(Entry { key: below.min(near(node, x)), first: node.first, count: node.count });
             return;
         }
-        let near = |n: u32| {
-            let node = &self.scene.nodes[n as usize];
-            (0..3).fold(0.0, |sum, k| {
-                let d = (f64::from(node.low[k]) - x[k]).max(x[k] - f64::from(node.high[k])).max(0.0);
-                sum + d * d
-            })
-        };
-        let (a, b) = (node.first, node.first + 1);
-        let (first, second) = if near(b) < near(a) { (b, a) } else { (a, b) };
-        for first in [second, first] {
-            beam.pending.push(Entry { key: 0.0, first, count: 0 });
-        }
+        let [a, b] = [node.first, node.first + 1].map(|n| (near(&self.scene.nodes[n as usize], x), n));
+        let (first, second) = if b.0 < a.0 { (b, a) } else { (a, b) };
+        let key = below.min(second.0);
+        beam.pending.push(Entry { key, first: second.1, count: 0 });
+        beam.pending.push(Entry { key: key.min(first.0), first: first.1, count: 0 });
     }
 
     /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part of
@@ -296,6 +320,9 @@ impl Search<'_> {
             return false;
         }
         let made = (planes.list.len(), entered.len());
+        if self.scene.space.is_none() {
+            prune(self.scene.nodes, planes, self.eye.x, beam, cap.as_ref());
+        }
         let keep = |ring: &[Edge], seen: &mut Seen| keep(self.mode, planes, ring, &self.limits, seen);
         for out in &rings.out[..parts] {
             if let Some(whole) = keep(out, seen) {
@@ -442,6 +469,37 @@ impl Search<'_> {
         planes.list.truncate(made);
         seen
     }
+}
+
+/// The square of how far away a box is at least, but for a few roundings of one part in 2⁵³ each.
+fn near(node: &Node, x: [f64; 3]) -> f64 {
+    let sum = (0..3).fold(0.0, |sum, k| {
+        let d = (f64::from(node.low[k]) - x[k]).max(x[k] - f64::from(node.high[k])).max(0.0);
+        sum + d * d
+    });
+    sum * (1.0 - BOUND)
+}
+
+/// Leaves out the boxes that a beam does not go into, once for all of its parts, and brings the keys of the
+/// others up to date.
+fn prune(nodes: &[Node], planes: &Planes, x: [f64; 3], beam: &mut Beam, cap: Option<&Facing>) {
+    let Beam { ring, pending, .. } = beam;
+    let mut least = f64::INFINITY;
+    pending.retain_mut(|entry| {
+        if entry.count == 0 {
+            let node = &nodes[entry.first as usize];
+            if beam::misses(planes, ring, x, node.low, node.high)
+                || cap.is_some_and(|cap| behind(cap, x, node))
+            {
+                return false;
+            }
+            least = least.min(near(node, x));
+        } else {
+            least = least.min(entry.key);
+        }
+        entry.key = least;
+        true
+    });
 }
 
 /// Whether a part of a beam is to be followed, and whether it is cut any further. What is dropped is counted.

@@ -208,7 +208,7 @@ impl<'a> Space<'a> {
         // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order
         // already.
         if pending.len() > before {
-            pending.sort_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
+            pending.sort_unstable_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
         }
     }
 

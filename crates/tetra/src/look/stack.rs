@@ -9,7 +9,8 @@ use super::beam::{Edge, Ring};
 /// A box or a cell to go through, or triangles to meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Entry {
-    /// For cells: their place in the order.
+    /// For cells: their place in the order. For boxes: the square of a distance, and no box that waits below in
+    /// the list is nearer.
     pub key: f64,
     /// A box, or the place of the first triangle.
     pub first: u32,

@@ -69,8 +69,8 @@ pub struct Seen {
     pub cells: u64,
     /// Beams that were ended.
     pub beams: u64,
-    /// Signs that were decided, and those that needed integers.
+    /// Signs that were decided.
     pub decided: u64,
-    /// Those of them that needed integers.
+    /// Those of them that needed integers, and directions that did.
     pub integers: u64,
 }
