@@ -1,9 +1,15 @@
 //! Planes and vertices in integers of any size, for the checker alone.
 
+use std::rc::Rc;
+
 use dashu_int::IBig;
+use rustc_hash::FxHashMap;
 use sightline_scene::exact::dyadic;
 
 use crate::cells::{CellsView, Plane};
+
+use super::fault::Fault;
+use super::residues::{Field, Place};
 
 /// Points as integers, all in the same unit.
 pub(crate) struct Integers<'a> {
@@ -70,6 +76,44 @@ impl<'a> Integers<'a> {
             1 => Some([x, y, z, w]),
             _ => Some([-x, -y, -z, -w]),
         }
+    }
+}
+
+/// Vertices and planes that are known already: cells that are near each other share them.
+pub(crate) struct Known<'a> {
+    of: &'a Integers<'a>,
+    vertices: FxHashMap<u32, Rc<[IBig; 4]>>,
+    planes: FxHashMap<u32, Rc<[IBig; 4]>>,
+    places: FxHashMap<u32, Place>,
+}
+
+impl<'a> Known<'a> {
+    pub fn new(of: &'a Integers<'a>) -> Self {
+        let (vertices, planes, places) = Default::default();
+        Self { of, vertices, planes, places }
+    }
+
+    pub fn vertex(&mut self, vertex: u32) -> Result<Rc<[IBig; 4]>, Fault> {
+        if let Some(known) = self.vertices.get(&vertex) {
+            return Ok(known.clone());
+        }
+        let made = Rc::new(self.of.vertex(vertex).ok_or(Fault::Vertex(vertex))?);
+        self.vertices.insert(vertex, made.clone());
+        Ok(made)
+    }
+
+    pub fn plane(&mut self, plane: u32) -> Rc<[IBig; 4]> {
+        let made = || Rc::new(self.of.plane(self.of.cells.planes[plane as usize]));
+        self.planes.entry(plane).or_insert_with(made).clone()
+    }
+
+    pub fn place(&mut self, vertex: u32, field: &Field) -> Result<Place, Fault> {
+        if let Some(known) = self.places.get(&vertex) {
+            return Ok(*known);
+        }
+        let place = field.place(&*self.vertex(vertex)?);
+        self.places.insert(vertex, place);
+        Ok(place)
     }
 }
 

@@ -19,6 +19,8 @@ pub(crate) mod integers;
 pub(crate) mod residues;
 pub(crate) mod structure;
 
+use std::rc::Rc;
+
 use dashu_int::IBig;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -28,7 +30,7 @@ use crate::file::Contents;
 use crate::surfaces::{CLOSED, SurfacesView};
 
 pub use fault::Fault;
-use integers::{Integers, det3, main_axis, side, sign};
+use integers::{Integers, Known, det3, main_axis, side, sign};
 use residues::{Both, Field, Place};
 
 /// Checks the cells of a file against its surfaces, and the solids around cells.
@@ -49,14 +51,18 @@ pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
         let plane = checker.integers.plane(cells.planes[i]);
         if main_axis(&plane).1 == 0 { Err(Fault::Plane(i)) } else { Ok(()) }
     })?;
-    first((0..cells.face_count()).into_par_iter(), |i| checker.face(i as u32))?;
+    in_parts(cells.face_count(), |part| {
+        let mut known = Known::new(&checker.integers);
+        part.into_iter().try_for_each(|i| checker.face(i as u32, &mut known))
+    })?;
     first((0..cells.face_count()).into_par_iter(), |i| checker.solids(i as u32, windings))?;
-    let volumes: Vec<Result<Both, Fault>> =
-        (0..cells.cell_count()).into_par_iter().map(|i| checker.cell(i as u32)).collect();
-    let mut sum = Both::default();
-    for volume in volumes {
-        sum = checker.field.add(sum, volume?);
-    }
+    let volumes = in_parts(cells.cell_count(), |part| {
+        let mut known = Known::new(&checker.integers);
+        part.into_iter().try_fold(Both::default(), |sum, i| {
+            Ok(checker.field.add(sum, checker.cell(i as u32, &mut known)?))
+        })
+    })?;
+    let sum = volumes.into_iter().fold(Both::default(), |sum, part| checker.field.add(sum, part));
     if sum != checker.box_volume() {
         return Err(Fault::Volume);
     }
@@ -71,6 +77,19 @@ fn first(
     indices.map(check).find_map_first(Result::err).map_or(Ok(()), Err)
 }
 
+/// Numbers that are checked together. Neighbours in the lists are neighbours in space and share vertices.
+const PART: usize = 4096;
+
+/// Runs a check on parts of all indices, and returns what each found, or the fault of the first.
+fn in_parts<T: Send>(
+    count: usize,
+    check: impl Fn(std::ops::Range<usize>) -> Result<T, Fault> + Sync + Send,
+) -> Result<Vec<T>, Fault> {
+    let parts = (0..count.div_ceil(PART)).into_par_iter();
+    let all: Vec<Result<T, Fault>> = parts.map(|n| check(n * PART..((n + 1) * PART).min(count))).collect();
+    all.into_iter().collect()
+}
+
 struct Checker<'a> {
     cells: CellsView<'a>,
     surfaces: SurfacesView<'a>,
@@ -81,15 +100,11 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    fn vertex(&self, v: u32) -> Result<[IBig; 4], Fault> {
-        self.integers.vertex(v).ok_or(Fault::Vertex(v))
-    }
-
-    fn face(&self, face: u32) -> Result<(), Fault> {
+    fn face(&self, face: u32, known: &mut Known<'_>) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
-        let plane = self.integers.plane(self.cells.planes[record.plane as usize]);
         let numbers = self.cells.face_loop(face as usize);
-        let loops = numbers.iter().map(|v| self.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
+        let loops = numbers.iter().map(|v| known.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
+        let plane = known.plane(record.plane);
         for (v, number) in loops.iter().zip(numbers) {
             if side(&plane, v) != 0 {
                 return Err(Fault::OffPlane { face, vertex: *number });
@@ -118,7 +133,7 @@ impl Checker<'_> {
     }
 
     /// A face with one cell is in one of the six sides of the box.
-    fn border(&self, face: u32, loops: &[[IBig; 4]]) -> Result<(), Fault> {
+    fn border(&self, face: u32, loops: &[Rc<[IBig; 4]>]) -> Result<(), Fault> {
         let bounds = self.bounds.map(|p| self.integers.point(p));
         let is_on = |axis: usize, bound: &[IBig; 3]| loops.iter().all(|v| v[axis] == &bound[axis] * &v[3]);
         let on_one = bounds.iter().any(|b| (0..3).any(|axis| is_on(axis, b)));
@@ -126,7 +141,7 @@ impl Checker<'_> {
     }
 
     /// A face that names a triangle is in its plane and within its edges.
-    fn covered(&self, face: u32, triangle: u32, loops: &[[IBig; 4]]) -> Result<(), Fault> {
+    fn covered(&self, face: u32, triangle: u32, loops: &[Rc<[IBig; 4]>]) -> Result<(), Fault> {
         let corners = self.surfaces.triangles[triangle as usize];
         let plane = self.integers.through(corners);
         let (axis, up) = main_axis(&plane);
@@ -169,18 +184,17 @@ impl Checker<'_> {
     }
 
     /// Six times the volume of a cell, after all checks of its signs.
-    fn cell(&self, cell: u32) -> Result<Both, Fault> {
+    fn cell(&self, cell: u32, known: &mut Known<'_>) -> Result<Both, Fault> {
         let faces = self.cells.faces_of(cell as usize);
         let mut numbers: Vec<u32> =
             faces.iter().flat_map(|f| self.cells.face_loop((f / 2) as usize)).copied().collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let vertices = numbers.iter().map(|v| self.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
+        let vertices = numbers.iter().map(|v| known.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
         let mut is_flat = true;
         for f in faces {
             let (face, inner) = (f / 2, if f & 1 == 0 { 1 } else { -1 });
-            let plane = self.cells.faces[face as usize].plane;
-            let plane = self.integers.plane(self.cells.planes[plane as usize]);
+            let plane = known.plane(self.cells.faces[face as usize].plane);
             for (v, number) in vertices.iter().zip(&numbers) {
                 let side = side(&plane, v) * inner;
                 if side < 0 {
@@ -192,7 +206,8 @@ impl Checker<'_> {
         if is_flat {
             return Err(Fault::Flat(cell));
         }
-        let places: Vec<Place> = vertices.iter().map(|v| self.field.place(v)).collect();
+        let places: Vec<Place> =
+            numbers.iter().map(|v| known.place(*v, &self.field)).collect::<Result<_, _>>()?;
         let place = |v: &u32| numbers.binary_search(v).map_or(Place::default(), |at| places[at]);
         let mut volume = Both::default();
         let mut edges: Vec<(u32, u32)> = Vec::new();
@@ -242,7 +257,7 @@ impl Checker<'_> {
             .flat_map(|f| self.cells.face_triangles(f as usize).iter().map(move |id| (*id, f)))
             .collect();
         faces.par_sort_unstable();
-        first((0..self.surfaces.triangles.len()).into_par_iter(), |id| {
+        let check = |id: usize, known: &mut Known<'_>| {
             let corners = self.surfaces.triangles[id];
             let plane = self.integers.through(corners);
             let (axis, up) = main_axis(&plane);
@@ -253,8 +268,7 @@ impl Checker<'_> {
                 let record = self.cells.faces[*face as usize];
                 let up = sign(&self.integers.plane(self.cells.planes[record.plane as usize])[axis]);
                 let loops = self.cells.face_loop(*face as usize).iter();
-                let places: Result<Vec<Place>, Fault> =
-                    loops.map(|v| Ok(self.field.place(&self.vertex(*v)?))).collect();
+                let places: Result<Vec<Place>, Fault> = loops.map(|v| known.place(*v, &self.field)).collect();
                 let area = self.field.area(&places?)[axis];
                 sum = if up > 0 { self.field.add(sum, area) } else { self.field.sub(sum, area) };
             }
@@ -262,6 +276,11 @@ impl Checker<'_> {
             // A triangle without area, whose normal is zero, has no faces.
             let is_whole = if up >= 0 { sum == whole } else { self.field.add(sum, whole) == [0; 2] };
             if is_whole { Ok(()) } else { Err(Fault::NotCovered(id as u32)) }
-        })
+        };
+        in_parts(self.surfaces.triangles.len(), |part| {
+            let mut known = Known::new(&self.integers);
+            part.into_iter().try_for_each(|id| check(id, &mut known))
+        })?;
+        Ok(())
     }
 }
