@@ -11,7 +11,7 @@ use sightline_tests::{Sandbox, assert_same};
 /// A folder with a town, and its cells.
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
-    sandbox.ok("generate town --triangles 1500 -o town.glb");
+    sandbox.ok("generate town --triangles 2000 -o town.glb");
     sandbox.ok("tetra town.glb -o town.tets");
     sandbox
 }
@@ -151,7 +151,7 @@ fn bad_points_angles_and_files_are_refused() {
     altered[file.len() / 2] ^= 1;
     refused(&altered, "altered");
     sandbox.run("look none.tets --points good.jsonl").code(3).says("none.tets");
-    sandbox.ok("generate town --triangles 1500 --seed 2 -o other.glb");
+    sandbox.ok("generate town --triangles 2000 --seed 2 -o other.glb");
     sandbox.run("tetra --check other.glb town.tets").code(3).says("another scene");
     let refusal: Value = {
         let run = sandbox.run("--json tetra --check other.glb town.tets").code(3);
@@ -160,7 +160,9 @@ fn bad_points_angles_and_files_are_refused() {
     assert_eq!(refusal["accepted"], false);
     sandbox.run("tetra town.glb").code(2).says("--output");
     sandbox.run("tetra town.glb -o town.glb").code(2).says(".glb");
-    sandbox.run("tetra town.glb town.tets -o x.tets").code(2);
+    sandbox.run("tetra town.glb town.tets -o x.tets").code(2).says("--check");
+    sandbox.run("tetra town.glb town.tets").code(2);
+    sandbox.run("tetra --check town.glb").code(2);
     sandbox.run("tetra town.glb -o x.tets --cull-back-faces").code(2).says("--cull-back-faces");
     // A result has no cells, and its lines are others.
     sandbox.ok("bake town.glb -o town.pvs --cells 2x1x2 --backend cpu --data-dir data");

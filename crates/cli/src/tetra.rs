@@ -25,9 +25,9 @@ use crate::tetra_export::export;
 pub fn run(args: &TetraArgs, json: bool) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
     match (&args.tets, &args.output) {
-        (Some(tets), _) => checked(args, tets, json),
+        (Some(tets), None) if args.check => checked(args, tets, json),
         (None, Some(output)) => built(args, output, json),
-        (None, None) => Err(CliError::Usage("give -o OUT.tets, or --check SCENE OUT.tets".to_owned())),
+        _ => Err(CliError::Usage("give -o OUT.tets and one scene, or --check SCENE OUT.tets".to_owned())),
     }
 }
 

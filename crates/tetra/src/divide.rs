@@ -47,10 +47,16 @@ pub fn divide(contents: &Contents<'_>) -> Divided {
     let rings = Rings { cells, field, places: &places, same: &same, between: FxHashMap::default() };
     let rings = Rings { between: rings.lines(&integers), ..rings };
     let faces: Vec<Face> = (0..cells.face_count()).into_par_iter().map(|f| rings.face(f)).collect();
-    let parts: Vec<(Vec<[u32; 4]>, Option<[f64; 3]>)> =
-        (0..cells.cell_count()).into_par_iter().map(|c| rings.cell(c, &faces)).collect();
+    let parts: Vec<Part> = (0..cells.cell_count()).into_par_iter().map(|c| rings.cell(c, &faces)).collect();
     gather(contents, &faces, parts)
 }
+
+/// The tetrahedra of a cell, and its inner point where it needs one, which has the number `u32::MAX`.
+type Part = (Vec<[u32; 4]>, Option<[f64; 3]>);
+/// An edge: the lesser of its ends first.
+type Ends = (u32, u32);
+/// An edge and the name of its line.
+type OnLine = ([Place; 2], Ends);
 
 /// A face with the vertices on its edges, and its triangles.
 struct Face {
@@ -68,7 +74,7 @@ struct Rings<'a> {
     /// The least of all vertices at the same place.
     same: &'a [u32],
     /// The vertices between the two of an edge, in order from the lesser one. Edges without any are left out.
-    between: FxHashMap<(u32, u32), Vec<u32>>,
+    between: FxHashMap<Ends, Vec<u32>>,
 }
 
 impl Rings<'_> {
@@ -83,8 +89,8 @@ impl Rings<'_> {
     }
 
     /// What is between the ends of edges, found on the lines that edges lie on.
-    fn lines(&self, integers: &Integers<'_>) -> FxHashMap<(u32, u32), Vec<u32>> {
-        let mut edges: Vec<(u32, u32)> = (0..self.cells.face_count())
+    fn lines(&self, integers: &Integers<'_>) -> FxHashMap<Ends, Vec<u32>> {
+        let mut edges: Vec<Ends> = (0..self.cells.face_count())
             .into_par_iter()
             .flat_map_iter(|f| {
                 let ring = self.loop_of(f);
@@ -97,12 +103,12 @@ impl Rings<'_> {
         edges.par_sort_unstable();
         edges.dedup();
         let place = |v: u32| &self.places[v as usize];
-        let mut on_lines: Vec<([Place; 2], (u32, u32))> =
+        let mut on_lines: Vec<OnLine> =
             edges.into_par_iter().map(|(a, b)| (self.field.line(place(a), place(b)), (a, b))).collect();
         on_lines.par_sort_unstable();
-        let groups: Vec<&[([Place; 2], (u32, u32))]> =
+        let groups: Vec<&[OnLine]> =
             on_lines.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1).collect();
-        let found: Vec<Vec<((u32, u32), Vec<u32>)>> =
+        let found: Vec<Vec<(Ends, Vec<u32>)>> =
             groups.into_par_iter().map(|group| between(integers, group)).collect();
         found.into_iter().flatten().collect()
     }
@@ -158,8 +164,8 @@ impl Rings<'_> {
         out
     }
 
-    /// The tetrahedra of a cell, and its inner point where it needs one, which has the number `u32::MAX`.
-    fn cell(&self, cell: usize, faces: &[Face]) -> (Vec<[u32; 4]>, Option<[f64; 3]>) {
+    /// The tetrahedra of a cell.
+    fn cell(&self, cell: usize, faces: &[Face]) -> Part {
         let listed = self.cells.faces_of(cell);
         let of = |f: &u32| &faces[(f >> 1) as usize];
         let least = listed.iter().flat_map(|f| &of(f).ring).min().copied().unwrap_or_default();
@@ -212,7 +218,7 @@ fn fan(ring: &[u32], from: usize) -> Vec<[u32; 3]> {
 }
 
 /// For edges on one line: the vertices of others between their ends.
-fn between(integers: &Integers<'_>, group: &[([Place; 2], (u32, u32))]) -> Vec<((u32, u32), Vec<u32>)> {
+fn between(integers: &Integers<'_>, group: &[OnLine]) -> Vec<(Ends, Vec<u32>)> {
     let mut vertices: Vec<u32> = group.iter().flat_map(|(_, (a, b))| [*a, *b]).collect();
     vertices.sort_unstable();
     vertices.dedup();
@@ -240,7 +246,7 @@ fn between(integers: &Integers<'_>, group: &[([Place; 2], (u32, u32))]) -> Vec<(
     inner.collect()
 }
 
-fn gather(contents: &Contents<'_>, faces: &[Face], parts: Vec<(Vec<[u32; 4]>, Option<[f64; 3]>)>) -> Divided {
+fn gather(contents: &Contents<'_>, faces: &[Face], parts: Vec<Part>) -> Divided {
     let cells = contents.cells;
     let vertices = cells.points.len() + cells.meets.len();
     let mut out = Divided::default();

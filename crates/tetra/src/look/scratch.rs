@@ -2,6 +2,7 @@
 
 use super::beam::Ring;
 use super::planes::Planes;
+use super::rounded::Rounded;
 use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
 
@@ -66,6 +67,8 @@ pub(super) struct Rings {
     pub inside: Ring,
     pub next: Ring,
     pub far: Ring,
+    /// The ways to the vertices of a face.
+    pub ways: Vec<Rounded>,
     /// The cells that hold the viewpoint.
     pub start: Vec<Entry>,
     /// Parts outside of a triangle; most often fewer than three are in use.

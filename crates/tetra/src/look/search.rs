@@ -189,9 +189,11 @@ impl Search<'_> {
     /// has been there: what that found waits already.
     fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, entry: &Entry) {
         let Some(space) = &self.scene.space else { return };
-        let Scratch { planes, entered, seen, .. } = &mut *self.scratch;
+        let Scratch { planes, entered, seen, rings, .. } = &mut *self.scratch;
         let cell = space.cell_of(entry);
-        if entered.holds(cell) || !space.is_reached(&self.eye, planes, (&beam.ring, cap), entry) {
+        if entered.holds(cell)
+            || !space.is_reached(&self.eye, planes, (&beam.ring, cap), entry, &mut rings.ways)
+        {
             return;
         }
         entered.add(cell);
@@ -199,7 +201,8 @@ impl Search<'_> {
         let flags = self.scene.flags;
         let blocks = |t: u32| flags[t as usize] & BLOCKS != 0;
         let is_entered = |cell: u32| entered.holds(cell);
-        space.leave(&self.eye, planes, (&beam.ring, cap), cell, (blocks, is_entered), &mut beam.pending);
+        let lists = (&mut beam.pending, &mut rings.ways);
+        space.leave(&self.eye, planes, (&beam.ring, cap), cell, (blocks, is_entered), lists);
     }
 
     fn points(&self, triangle: u32) -> [u32; 3] {

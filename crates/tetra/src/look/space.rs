@@ -170,8 +170,10 @@ impl<'a> Space<'a> {
         planes: &Planes,
         beam: (&[Edge], Option<&Facing>),
         entry: &Entry,
+        ways: &mut Vec<Rounded>,
     ) -> bool {
-        entry.count != THROUGH_FACE || self.overlaps(eye, planes, beam, (entry.first >> 1) as usize).is_some()
+        entry.count != THROUGH_FACE
+            || self.overlaps(eye, planes, beam, (entry.first >> 1) as usize, ways).is_some()
     }
 
     /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond
@@ -183,7 +185,7 @@ impl<'a> Space<'a> {
         (ring, cap): (&[Edge], Option<&Facing>),
         cell: u32,
         (blocks, is_entered): (impl Fn(u32) -> bool, impl Fn(u32) -> bool),
-        pending: &mut Vec<Entry>,
+        (pending, ways): (&mut Vec<Entry>, &mut Vec<Rounded>),
     ) {
         let before = pending.len();
         for listed in self.cells.faces_of(cell as usize) {
@@ -197,7 +199,7 @@ impl<'a> Space<'a> {
             if triangles.is_empty() && !passes {
                 continue;
             }
-            let Some(key) = self.overlaps(eye, planes, (ring, cap), face) else { continue };
+            let Some(key) = self.overlaps(eye, planes, (ring, cap), face, ways) else { continue };
             for triangle in triangles {
                 pending.push(Entry { key: -1.0, first: *triangle, count: 1 });
             }
@@ -213,35 +215,27 @@ impl<'a> Space<'a> {
     }
 
     /// Whether a beam may overlap a face in front of its cap, and the square of how far away the face's
-    /// middle is.
+    /// middle is. The ways to its vertices are kept in `ways` meanwhile.
     fn overlaps(
         &self,
         eye: &Eye<'_>,
         planes: &Planes,
         (ring, cap): (&[Edge], Option<&Facing>),
         face: usize,
+        ways: &mut Vec<Rounded>,
     ) -> Option<f64> {
-        let around = self.cells.face_loop(face);
-        // Rounded places are off by this and one unit in the last place (`Cells::rounded`).
-        let slack = |p: [f64; 3], way: &Rounded| {
-            way.error + self.slack + 2.0 * U * p.iter().fold(0.0f64, |m, c| m.max(c.abs()))
-        };
-        let to = |vertex: u32| {
-            let place = self.cells.place(vertex);
-            let way = Rounded::difference(place, eye.x);
-            let exact = (vertex as usize) < self.cells.points.len();
-            Rounded { error: if exact { way.error } else { slack(place, &way) }, ..way }
-        };
+        ways.clear();
+        ways.extend(self.cells.face_loop(face).iter().map(|v| self.to(eye, *v)));
         let outside = |edge: &Edge| {
             let normal = planes.normal(edge.side);
-            around.iter().all(|v| normal.dot(&to(*v)).sign() == Some(-1))
+            ways.iter().all(|way| normal.dot(way).sign() == Some(-1))
         };
         if ring.iter().any(outside) {
             return None;
         }
         let beyond = |cap: &Facing| {
-            around.iter().all(|v| {
-                let along = cap.normal.dot(&to(*v));
+            ways.iter().all(|way| {
+                let along = cap.normal.dot(way);
                 let value = along.value - cap.height.value;
                 let error = along.error + cap.height.error + U * (along.value.abs() + cap.height.value.abs());
                 Number { value, error }.sign() == Some(1)
@@ -251,18 +245,30 @@ impl<'a> Space<'a> {
             return None;
         }
         let mut middle = [0.0; 3];
-        for (k, v) in around.iter().enumerate() {
-            let (a, b) = (to(*v), to(around[(k + 1) % around.len()]));
-            (0..3).for_each(|j| middle[j] += a.v[j] / around.len() as f64);
+        for (k, a) in ways.iter().enumerate() {
+            let b = &ways[if k + 1 == ways.len() { 0 } else { k + 1 }];
+            (0..3).for_each(|j| middle[j] += a.v[j]);
             // The face is convex, so that one vertex tells on which side of an edge all of it is.
-            let normal = a.cross(&b);
-            let inner = around.iter().find_map(|w| normal.dot(&to(*w)).sign());
+            let normal = a.cross(b);
+            let inner = ways.iter().find_map(|way| normal.dot(way).sign());
             let Some(inner) = inner else { continue };
             if ring.iter().all(|e| e.corner.way.dot(&normal).sign() == Some(-inner)) {
                 return None;
             }
         }
-        Some(middle.iter().map(|c| c * c).sum())
+        Some(middle.iter().map(|c| c * c).sum::<f64>() / (ways.len() * ways.len()) as f64)
+    }
+
+    /// The way to a vertex.
+    fn to(&self, eye: &Eye<'_>, vertex: u32) -> Rounded {
+        let place = self.cells.place(vertex);
+        let way = Rounded::difference(place, eye.x);
+        if (vertex as usize) < self.cells.points.len() {
+            return way;
+        }
+        // Rounded places are off by this and one unit in the last place (`Cells::rounded`).
+        let last = 2.0 * U * place.iter().fold(0.0f64, |m, c| m.max(c.abs()));
+        Rounded { error: way.error + self.slack + last, ..way }
     }
 }
 
