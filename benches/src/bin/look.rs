@@ -1,4 +1,4 @@
-//! What exact sets from points cost: `look SCENE… [--points N] [--seed S] [--skip-cells]`.
+//! What exact sets from points cost: `look SCENE… [--points N] [--seed S] [--check] [--skip-cells]`.
 //!
 //! For each scene: how long its cells take to build; then from random points of its box that are in no closed
 //! solid, by both engines and in all modes, the time, the cells and the beams of a point, beside six item
@@ -18,6 +18,7 @@ use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata};
 use sightline_scene::Scene;
+use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, build};
 
@@ -37,6 +38,9 @@ struct Args {
     /// The angle of the modes that have one, in degrees.
     #[arg(long, default_value_t = 0.2)]
     angle: f64,
+    /// Check the cells as `sightline tetra --check` does, and say how long it takes.
+    #[arg(long)]
+    check: bool,
     /// Leave out the engine that goes through cells.
     #[arg(long)]
     skip_cells: bool,
@@ -66,6 +70,11 @@ fn main() -> Result<(), AnyError> {
             built.counts.decisions.all,
             file.len() as f64 / 1e6
         );
+        if args.check {
+            let start = Instant::now();
+            check(&built.contents())?;
+            println!("checked in {:.1} s\n", start.elapsed().as_secs_f64());
+        }
         drop(built);
         let tets = Tets::from_bytes(&file)?;
         drop(file);
@@ -154,8 +163,8 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
     targets(args, scene, tets, &points, &embree)
 }
 
-/// Boxes of a person's size by the scene's, seen from the points: shares of their pictures, and rays to random
-/// places in them.
+/// Boxes with a hundredth of the scene's greatest side, seen from the points: shares of their pictures, and rays
+/// to random places in them.
 fn targets(
     args: &Args,
     scene: &Scene,

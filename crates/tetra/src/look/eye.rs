@@ -53,31 +53,37 @@ impl<'a> Eye<'a> {
 
     /// The way to a point in integers.
     pub fn to_exactly(&self, number: u32) -> Integers {
-        minus(&self.whole(self.point(number)), &self.whole(self.x))
+        self.apart_exactly(self.point(number), self.x)
     }
 
     /// The vector from one point to another in integers.
     pub fn between_exactly(&self, a: u32, b: u32) -> Integers {
-        minus(&self.whole(self.point(b)), &self.whole(self.point(a)))
+        self.apart_exactly(self.point(b), self.point(a))
     }
 
-    fn whole(&self, p: [f64; 3]) -> Integers {
-        p.map(|c| {
-            let (mantissa, exponent) = dyadic(c);
-            // 0 has no exponent of its own.
-            IBig::from(mantissa) << (exponent - self.unit).max(0) as usize
+    /// p − q in integers.
+    fn apart_exactly(&self, p: [f64; 3], q: [f64; 3]) -> Integers {
+        std::array::from_fn(|k| {
+            let d = p[k] - q[k];
+            // What rounding took away (Knuth's two-sum): most often nothing, and then one number is enough.
+            let back = d + q[k];
+            let rest = (p[k] - back) - (q[k] - (back - d));
+            if rest == 0.0 && d.is_finite() { self.whole(d) } else { self.whole(p[k]) - self.whole(q[k]) }
         })
+    }
+
+    fn whole(&self, c: f64) -> IBig {
+        let (mantissa, exponent) = dyadic(c);
+        // 0 has no exponent of its own.
+        let shift = (exponent - self.unit).max(0) as usize;
+        // A mantissa has 53 bits.
+        if shift <= 72 { IBig::from(i128::from(mantissa) << shift) } else { IBig::from(mantissa) << shift }
     }
 }
 
 /// The exponent of the largest power of two that divides all of some finite numbers; `i32::MAX` if all are 0.
 pub fn unit_of(numbers: impl Iterator<Item = f64>) -> i32 {
     numbers.map(dyadic).filter(|d| d.0 != 0).fold(i32::MAX, |least, d| least.min(d.1))
-}
-
-/// a − b.
-pub fn minus(a: &Integers, b: &Integers) -> Integers {
-    std::array::from_fn(|k| &a[k] - &b[k])
 }
 
 /// a × b.
