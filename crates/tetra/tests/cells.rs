@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod shapes;
+
 use glam::Vec3;
 use proptest::prelude::*;
 use sightline_scene::exact::collinear;
@@ -12,6 +14,8 @@ use sightline_tetra::file::Contents;
 use sightline_tetra::look::Boxes;
 use sightline_tetra::surfaces::{BLOCKS, CLOSED, FLAT, Surfaces};
 use sightline_tetra::windings::windings;
+
+use shapes::{lattice_of_cubes, saddle, schonhardt};
 
 const DIGEST: [u8; 32] = [11; 32];
 
@@ -135,58 +139,11 @@ fn triangles_in_the_faces_of_tetrahedra_divide_them() {
 }
 
 #[test]
-fn the_polyhedron_of_schonhardt_passes() {
-    let ring = |z: f32, turn: f32| {
-        [0.0f32, 1.0, 2.0].map(|k| {
-            let angle = (k * 120.0 + turn).to_radians();
-            [angle.cos(), angle.sin(), z]
-        })
-    };
-    let (a, b) = (ring(0.0, 0.0), ring(1.0, 30.0));
-    let mut triangles = vec![a, b];
-    for i in 0..3 {
-        let j = (i + 1) % 3;
-        triangles.push([a[i], a[j], b[j]]);
-        triangles.push([a[i], b[j], b[i]]);
-    }
-    passes(&triangles);
-}
-
-#[test]
-fn a_saddle_of_notches_passes() {
-    // After Chazelle: edges of two rulings of a saddle, close to each other.
-    let mut triangles = Vec::new();
-    for i in -2..=2 {
-        let s = i as f32;
-        let (p, q) = ([-3.0, s, -3.0 * s + 0.01], [3.0, s, 3.0 * s + 0.01]);
-        triangles.push([p, q, [0.0, s, 20.0]]);
-        let (p, q) = ([s, -3.0, -3.0 * s - 0.01], [s, 3.0, 3.0 * s - 0.01]);
-        triangles.push([p, q, [s, 0.0, -20.0]]);
-    }
-    passes(&triangles);
-}
-
-#[test]
-fn a_lattice_of_cubes_passes_moved_and_scaled() {
+fn hard_shapes_pass() {
+    passes(&schonhardt());
+    passes(&saddle());
     for (scale, shift) in [(1.0f32, 0.0f32), (0.1, 100.0), (1e-20, 0.0), (1e18, -3e18)] {
-        let mut triangles = Vec::new();
-        for k in 0..4 {
-            let at = [(k & 1) as f32 * 2.0, (k >> 1) as f32 * 2.0, 0.0];
-            for axis in 0..3 {
-                for side in [0.0f32, 1.0] {
-                    let p = |u: f32, v: f32| {
-                        let mut p = at;
-                        p[axis] += side;
-                        p[(axis + 1) % 3] += u;
-                        p[(axis + 2) % 3] += v;
-                        p.map(|x| x * scale + shift)
-                    };
-                    triangles.push([p(0.0, 0.0), p(1.0, 0.0), p(1.0, 1.0)]);
-                    triangles.push([p(0.0, 0.0), p(1.0, 1.0), p(0.0, 1.0)]);
-                }
-            }
-        }
-        passes(&triangles);
+        passes(&lattice_of_cubes(scale, shift));
     }
 }
 

@@ -5,6 +5,8 @@
 
 use std::f64::consts::PI;
 
+mod shapes;
+
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Object, Scene, Triangle};
@@ -12,7 +14,7 @@ use sightline_tetra::check::check as check_cells;
 use sightline_tetra::look::{Engine, Looker, Mode, Node, Scratch, Seen, Target, View};
 use sightline_tetra::{Built, Quiet, build};
 
-type T = [[f32; 3]; 3];
+use shapes::{T, lattice_of_cubes, saddle, schonhardt};
 
 struct World(Built);
 
@@ -249,4 +251,15 @@ fn a_speck_in_a_huge_box_is_seen() {
     let seen = World::new(&all).look([0.9, 0.8, -3.0], Mode::Exact);
     assert_eq!(seen.visible, [0, 1, 2]);
     assert!(seen.areas[2] > 0.0 && seen.areas[2] < 1e-12);
+}
+
+/// Points in, on and around the shapes that are hard to divide: in their middle, in planes and lines of their
+/// faces, and away from them.
+#[test]
+fn hard_shapes_are_seen_alike() {
+    for x in [[0.05, 0.0, 0.02], [0.5, 0.5, 0.5], [0.0, 0.0, 1.0], [1.5, 0.25, 0.5], [-7.0, 3.0, 20.0]] {
+        for shape in [schonhardt(), saddle(), lattice_of_cubes(1.0, 0.0), lattice_of_cubes(0.1, 0.25)] {
+            check(&shape, x).unwrap();
+        }
+    }
 }
