@@ -18,6 +18,7 @@ mod entries;
 mod error;
 mod journal;
 mod limits;
+mod live;
 mod lock;
 mod memory;
 mod outcomes;
