@@ -20,13 +20,15 @@ use crate::joining::UploadError;
 use crate::keeping;
 use crate::lifecycle;
 use crate::limits::{Quotas, Usage, usage};
+use crate::lost;
 use crate::partial;
 use crate::receivers::{self, Fault};
 use crate::results::ResultError;
 use crate::scenes;
-use crate::scheduler::{Failure, Introduction, Order};
+use crate::scheduler::{Failure, Introduction, Order, Progress};
 use crate::sessions::{self, Message};
-use crate::state::Coordinator;
+use crate::state::{Coordinator, Lacks};
+use crate::store::JobState;
 use crate::submit::{Submission, SubmitError, submit};
 use crate::tests::{coordinator, granted, nameless, put, two_tiles};
 
@@ -59,6 +61,17 @@ fn of(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission
     Submission { owner: owner.to_owned(), ..nameless(spec) }
 }
 
+fn worker() -> Introduction {
+    Introduction {
+        name: "a".to_owned(),
+        version: String::new(),
+        instance: 0,
+        profiles: vec![NO_PROFILE.to_owned()],
+        held: Vec::new(),
+        helps: false,
+    }
+}
+
 #[test]
 fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     let (c, clock, scene) = coordinator();
@@ -68,15 +81,7 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     let summary = jobs::summary(&c, id).unwrap();
     assert_eq!((summary.tiles_total, summary.cells_total), (2, 4105));
     let (out, mut orders) = mpsc::channel(64);
-    let intro = Introduction {
-        name: "a".to_owned(),
-        version: String::new(),
-        instance: 0,
-        profiles: vec![NO_PROFILE.to_owned()],
-        held: Vec::new(),
-        helps: false,
-    };
-    let (joined, chores) = sessions::join(&c, intro, Box::new(out)).unwrap();
+    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
     do_chores(&c, chores);
     do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
     let grants = [granted(&mut orders), granted(&mut orders)];
@@ -116,6 +121,44 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     assert_eq!(Openness::of_result(&result).unwrap().missing(), 5);
     let why = asking::query(&c, &sightline_proto::v1::QueryRequest { job: id.0, ..Default::default() });
     assert!(matches!(&why, Err(AskError::Unable(text)) if text.contains("ambient")), "{why:?}");
+}
+
+#[test]
+fn receivers_that_are_lost_before_the_end_are_waited_for() {
+    let (c, _, scene) = coordinator();
+    let bytes = of_blocks(&[3]);
+    let digest = send(&c, "", &bytes).unwrap();
+    let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    let (out, mut orders) = mpsc::channel(8);
+    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
+    do_chores(&c, chores);
+    do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+    let grant = granted(&mut orders);
+    let progress = Progress { lease: grant.lease, cells: 1, samples: 0 };
+    do_chores(&c, sessions::heard(&c, joined.worker, Message::Progress(progress)));
+    // The output comes while nothing is assembled; then the coordinator is as after a restart.
+    jobs::pause(&c, id, false).unwrap();
+    let tile = Openness { numbers: 1, values: vec![0.5; 3], bound: 1e-9 };
+    put(&c, &grant, &tile.encode().unwrap()).unwrap();
+    *c.last_receivers.lock().unwrap() = None;
+    assert!(c.blobs.remove(&digest).unwrap());
+    jobs::resume(&c, id).unwrap();
+    let until = |is: &dyn Fn() -> bool| {
+        for _ in 0..1000 {
+            if is() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("{:?}", jobs::summary(&c, id).unwrap());
+    };
+    until(&|| jobs::summary(&c, id).unwrap().lacks == Some(Lacks::Receivers(digest)));
+    until(&|| jobs::summary(&c, id).unwrap().record.state == JobState::Paused);
+    send(&c, "", &bytes).unwrap();
+    lost::back(&c, Lacks::Receivers(digest));
+    until(&|| jobs::result(&c, id).is_ok());
+    let result = c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap();
+    assert_eq!(Openness::of_result(&result).unwrap().values, [0.5; 3]);
 }
 
 #[test]

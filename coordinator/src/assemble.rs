@@ -18,6 +18,7 @@ use sightline_viewcells::{CellBox, Division, Lattice, Outline, Tile, TileKind};
 use crate::assemble_pairs::PairJoin;
 use crate::ids::{Digest, TileIndex};
 use crate::openness::{self, AnswerError};
+use crate::receivers::Fault;
 use crate::scenes::{FactsError, facts};
 use crate::scheduler::{Output, Work};
 use crate::state::{Coordinator, SceneFacts};
@@ -73,7 +74,20 @@ impl From<AnswerError> for AssembleError {
 impl AssembleError {
     /// Whether the same may succeed later.
     pub(crate) fn passes(&self) -> bool {
-        matches!(self, Self::Blob(e) | Self::Facts(FactsError::Blob(e)) if e.passes())
+        self.of_blob().is_some_and(BlobError::passes)
+    }
+
+    /// Whether something that the result is made from must be sent or computed again.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.of_blob().is_some_and(BlobError::is_lost)
+    }
+
+    fn of_blob(&self) -> Option<&BlobError> {
+        match self {
+            Self::Blob(e) | Self::Facts(FactsError::Blob(e)) => Some(e),
+            Self::Answers(AnswerError::Receivers(Fault::Blob(e))) => Some(e),
+            _ => None,
+        }
     }
 }
 

@@ -11,10 +11,11 @@ use crate::assemble::{AssembleError, Parts, assemble};
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::invalidating;
+use crate::lost;
 use crate::scheduler::{Event, Output};
 use crate::scheduling::{Chore, tell};
-use crate::state::Coordinator;
-use crate::store::{BlobError, JobPhase, JobRecord, JobState, StoreError, TileState};
+use crate::state::{Coordinator, Lacks};
+use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
 
 /// A complete job, copied from the scheduler.
 fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
@@ -29,7 +30,7 @@ fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
 }
 
 /// Assembles a job's result and ends the job.
-pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
+pub(crate) fn finish(c: &Arc<Coordinator>, id: JobId) -> Vec<Chore> {
     // Absent when it was cancelled in the meantime.
     let Some(parts) = parts(c, id) else { return Vec::new() };
     let begun = Begun::now();
@@ -46,12 +47,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
                 tracing::error!("the result of job {id} waits and is tried again: {e}");
                 return tell(c, Event::AssemblyWaits(id));
             }
-            Ok(Err(AssembleError::Blob(e)))
-                if e.is_lost()
-                    && let Some(chores) = compute_again(c, id, &parts.outputs, &e) =>
-            {
-                return chores;
-            }
+            Ok(Err(e)) if e.is_lost() => return do_without(c, id, &parts, &e),
             Ok(r) => r.map_err(|e| e.to_string()),
             Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
         }
@@ -109,8 +105,33 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     chores
 }
 
+/// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
+/// the job waits until somebody sends them.
+fn do_without(c: &Arc<Coordinator>, id: JobId, parts: &Parts, e: &AssembleError) -> Vec<Chore> {
+    if let Some(chores) = compute_again(c, id, &parts.outputs, e) {
+        return chores;
+    }
+    let spec = &parts.work.spec;
+    let receivers = spec.ambient.as_ref().map(|ambient| Lacks::Receivers(ambient.receivers));
+    for lacks in [Some(Lacks::Scene(spec.scene)), receivers].into_iter().flatten() {
+        if !c.blobs.open_checked(&lacks.digest()).is_err_and(|e| e.is_lost()) {
+            continue;
+        }
+        // Workers that have it do not ask for it, so this may be the first to find it lost.
+        match lost::lost(c, lacks, &e.to_string()) {
+            // Assembled once it goes on, which it may do already.
+            Ok(waiting) if waiting.contains(&id) => return tell(c, Event::AssemblyDropped(id)),
+            Ok(_) => {}
+            Err(e) => tracing::error!("job {id} cannot be paused yet: {e}"),
+        }
+    }
+    // It is there again, or the job could not be paused, or the disk cannot read it every time.
+    tracing::error!("the result of job {id} waits and is tried again: {e}");
+    tell(c, Event::AssemblyWaits(id))
+}
+
 /// Opens the tiles again whose stored outputs are lost; `None` when none are.
-fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &BlobError) -> Option<Vec<Chore>> {
+fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &AssembleError) -> Option<Vec<Chore>> {
     let lost = |output: &Output| {
         let digest = output.digest()?;
         c.blobs.open_checked(&digest).is_err_and(|e| e.is_lost()).then_some(digest)

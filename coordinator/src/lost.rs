@@ -4,29 +4,31 @@
 //! Which jobs wait is kept in memory. After a restart they are paused as by a person, and go on with
 //! `resume`.
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError};
 
 use crate::chronicle::{Happening, Kind};
+use crate::ids::JobId;
 use crate::jobs;
 use crate::specs;
 use crate::state::{Coordinator, Lacks};
 use crate::store::{JobPhase, JobRecord, StoreError};
 
 /// Pauses the jobs of a scene or of receivers that cannot be read. Workers that have them finish their tiles.
-/// Nothing happens where no job names them.
-pub(crate) fn lost(c: &Arc<Coordinator>, lacks: Lacks, why: &str) -> Result<(), StoreError> {
+/// Nothing happens where no job names them. Returns the jobs that wait for them.
+pub(crate) fn lost(c: &Arc<Coordinator>, lacks: Lacks, why: &str) -> Result<BTreeSet<JobId>, StoreError> {
     let _turn = c.lost_turn();
     // Somebody may have sent it since it was found damaged.
     if c.blobs.open_checked(&lacks.digest()).is_ok() {
-        return Ok(());
+        return Ok(BTreeSet::new());
     }
+    let list = || c.lost.lock().unwrap_or_else(PoisonError::into_inner);
     for job in c.store.jobs()? {
         let works = matches!(job.state.phase(), JobPhase::Queued | JobPhase::Running);
         if !works || !needs(&job, lacks) {
             continue;
         }
         // Before the pause: whoever resumes the job after it takes it off the list.
-        let list = || c.lost.lock().unwrap_or_else(PoisonError::into_inner);
         list().insert(job.id, lacks);
         if jobs::park(c, job.id).is_err() {
             // It has ended, or a person has paused it.
@@ -44,7 +46,7 @@ pub(crate) fn lost(c: &Arc<Coordinator>, lacks: Lacks, why: &str) -> Result<(), 
             format!("the job is paused, for its {name} cannot be read: send {again}, and the job goes on");
         c.happened(Happening::of_job(Kind::Job, job.id, text));
     }
-    Ok(())
+    Ok(list().iter().filter(|(_, of)| **of == lacks).map(|(job, _)| *job).collect())
 }
 
 /// Whether a job cannot go on without what is lost.

@@ -14,13 +14,14 @@ use crate::keeping;
 use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::limits::Quotas;
+use crate::lost;
 use crate::readiness::readiness;
 use crate::releasing;
 use crate::scenes;
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
-use crate::state::{Coordinator, Leases};
-use crate::store::{MemoryBlobs, MemoryStore, StoreError, TileState};
+use crate::state::{Coordinator, Lacks, Leases};
+use crate::store::{FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState};
 use crate::submit::{SubmitError, submit};
 use crate::tests::{coordinator, granted, join, nameless, output, put, two_tiles};
 use sightline_model::JobSpec;
@@ -167,6 +168,41 @@ fn an_output_that_is_lost_before_the_end_is_computed_again() {
         }
         jobs::result(&c, id).is_ok()
     });
+}
+
+#[test]
+fn a_scene_that_is_lost_before_the_end_is_waited_for() {
+    for damaged in [true, false] {
+        let directory = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(directory.path()).unwrap();
+        let (store, clock) = (Box::new(MemoryStore::new()), Box::<Arc<ManualClock>>::default());
+        let c = Coordinator::new(Leases::default(), store, Box::new(blobs.clone()), clock).unwrap();
+        let scene = c.take_scene(&self::scene()).unwrap();
+        let id = two_tiles(&c, scene);
+        let (_, mut orders) = join(&c, "ada");
+        let grants = [granted(&mut orders), granted(&mut orders)];
+        let mut bytes = c.blobs.read(&scene).unwrap();
+        bytes[20] ^= 1;
+        match damaged {
+            true => std::fs::write(blobs.path(&scene), bytes).unwrap(),
+            false => assert!(c.blobs.remove(&scene).unwrap()),
+        }
+        // As after a restart: the worker has the scene and does not ask for it.
+        *c.last_scene.lock().unwrap() = None;
+        grants.iter().for_each(|grant| put(&c, grant, &output(grant, &[0])).unwrap());
+        let summary = || jobs::summary(&c, id).unwrap();
+        wait_until("the pause", || summary().record.state == JobState::Paused);
+        assert_eq!(summary().lacks, Some(Lacks::Scene(scene)));
+        // Resumed without it, the job waits again.
+        jobs::resume(&c, id).unwrap();
+        wait_until("the pause again", || summary().lacks.is_some());
+        wait_until("the pause again", || summary().record.state == JobState::Paused);
+        c.take_scene(&self::scene()).unwrap();
+        lost::back(&c, Lacks::Scene(scene));
+        wait_until("the end", || jobs::result(&c, id).is_ok());
+        assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+        assert_eq!(summary().lacks, None);
+    }
 }
 
 #[test]
