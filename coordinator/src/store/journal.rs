@@ -103,35 +103,8 @@ impl Journal {
         self.end
     }
 
-    /// Calls `visit` for the payloads of all frames from `from` on, each with the offset of the frame's end.
-    /// Returns `false` without a call if no frame begins or ends at `from`.
-    pub(super) fn replay<E: From<JournalError>>(
-        &self,
-        from: u64,
-        mut visit: impl FnMut(&[u8], u64) -> Result<(), E>,
-    ) -> Result<bool, E> {
-        let path = &self.path;
-        let mut file = File::open(path).map_err(fault("open", path))?;
-        file.seek(SeekFrom::Start(HEADER_BYTES)).map_err(fault("seek in", path))?;
-        let mut frames =
-            Frames { path, reader: BufReader::new(&file), offset: HEADER_BYTES, length: self.end };
-        let mut reached = false;
-        loop {
-            let begins = frames.offset;
-            if begins > from && !reached {
-                return Ok(false);
-            }
-            reached |= begins == from;
-            match frames.next()? {
-                Next::Frame(payload) if begins >= from => visit(&payload, frames.offset)?,
-                Next::Frame(_) => {}
-                Next::End => return Ok(reached),
-                // Every frame was good when the journal was opened.
-                Next::Bad(what) => {
-                    return Err(JournalError::Corrupt { path: path.clone(), offset: begins, what }.into());
-                }
-            }
-        }
+    pub(super) fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Appends a frame; the frame is on the disk when this returns its end. After an error the journal is as
@@ -171,6 +144,37 @@ impl Journal {
         let source = Arc::new(source);
         self.unusable = Some(source.clone());
         JournalError::Unusable { path: self.path.clone(), source }
+    }
+}
+
+/// Calls `visit` for the payloads of all frames from `from` on, each with the offset of the frame's end, in
+/// the first `length` bytes of an open journal, which may grow meanwhile. Returns `false` without a call if no
+/// frame begins or ends at `from`.
+pub(super) fn replay<E: From<JournalError>>(
+    path: &Path,
+    from: u64,
+    length: u64,
+    mut visit: impl FnMut(&[u8], u64) -> Result<(), E>,
+) -> Result<bool, E> {
+    let mut file = File::open(path).map_err(fault("open", path))?;
+    file.seek(SeekFrom::Start(HEADER_BYTES)).map_err(fault("seek in", path))?;
+    let mut frames = Frames { path, reader: BufReader::new(&file), offset: HEADER_BYTES, length };
+    let mut reached = false;
+    loop {
+        let begins = frames.offset;
+        if begins > from && !reached {
+            return Ok(false);
+        }
+        reached |= begins == from;
+        match frames.next()? {
+            Next::Frame(payload) if begins >= from => visit(&payload, frames.offset)?,
+            Next::Frame(_) => {}
+            Next::End => return Ok(reached),
+            // Every frame was good when the journal was opened.
+            Next::Bad(what) => {
+                return Err(JournalError::Corrupt { path: path.to_owned(), offset: begins, what }.into());
+            }
+        }
     }
 }
 

@@ -1,15 +1,21 @@
-//! The view of the embedded store that answers queries: sled, or, once sled has refused a change, the same
-//! entries in memory.
+//! The view of the embedded store that answers queries: sled, or, once sled has failed, the same entries in
+//! memory.
+//!
+//! A sled that has met a full disk refuses all later changes. Reading it may fail, too, even before it has
+//! refused one: a read divides a page that has grown, which is a write. Neither is an error of the store, for
+//! all of it is in the journal. The entries then go on in memory alone until the next start, at which sled is
+//! brought up to date.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
 use super::error::StoreError;
-use super::journal::{HEADER_BYTES, Journal};
+use super::journal::{self, HEADER_BYTES, Journal};
 use super::rules::{self, Event};
 use super::table::{Bytes, Changes, Over, Table, decode, encode};
 
@@ -30,12 +36,13 @@ struct Applied {
     sum: u64,
 }
 
-/// The state as queries see it: sled, and changes that sled has not accepted yet.
-///
-/// A sled that has refused a change once, on a full disk, refuses all later ones, and its reads may fail. So
-/// the entries then go on in memory alone until the next start, at which sled is brought up to date.
+/// The state as queries see it: sled or what has taken its place, and changes that it has not accepted yet.
 pub(super) struct Live {
     db: Entries,
+    /// The entries once sled cannot be read; the next change puts them in its place.
+    anew: OnceLock<BTreeMap<Bytes, Bytes>>,
+    /// The journal.
+    path: PathBuf,
     applied: Applied,
     /// Changes of frames that are not applied yet.
     waiting: Changes,
@@ -45,6 +52,9 @@ pub(super) struct Live {
 enum Entries {
     Sled(sled::Db),
     Memory(BTreeMap<Bytes, Bytes>),
+    /// A sled that can neither be read nor changed.
+    #[cfg(test)]
+    Stuck,
 }
 
 impl Table for Entries {
@@ -52,6 +62,8 @@ impl Table for Entries {
         match self {
             Self::Sled(db) => db.get(key),
             Self::Memory(entries) => Table::get(entries, key),
+            #[cfg(test)]
+            Self::Stuck => Err(stuck()),
         }
     }
 
@@ -59,6 +71,8 @@ impl Table for Entries {
         match self {
             Self::Sled(db) => db.scan(prefix),
             Self::Memory(entries) => entries.scan(prefix),
+            #[cfg(test)]
+            Self::Stuck => Err(stuck()),
         }
     }
 }
@@ -71,11 +85,11 @@ impl std::fmt::Debug for Live {
 
 impl Table for Live {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
-        Over { under: &self.db, changes: &self.waiting }.get(key)
+        self.read(|entries| Over { under: entries, changes: &self.waiting }.get(key))
     }
 
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
-        Over { under: &self.db, changes: &self.waiting }.scan(prefix)
+        self.read(|entries| Over { under: entries, changes: &self.waiting }.scan(prefix))
     }
 }
 
@@ -95,8 +109,8 @@ impl Table for sled::Db {
 }
 
 impl Live {
-    /// Opens sled and checks the sum of its entries' hashes.
-    pub(super) fn open(path: &Path) -> Result<Self, StoreError> {
+    /// Opens sled, the view of a journal, and checks the sum of its entries' hashes.
+    pub(super) fn open(path: &Path, journal: &Journal) -> Result<Self, StoreError> {
         let mut tries = 0;
         let db = loop {
             match guarded(|| {
@@ -115,13 +129,17 @@ impl Live {
             Some(value) => decode(APPLIED, &value)?,
             None => Applied { journal: 0, offset: 0, sum: 0 },
         };
-        let live = Self { db: Entries::Sled(db), applied, waiting: Changes::new() };
+        let live = Self::of(Entries::Sled(db), applied, journal.path());
         let sum =
             live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| sum.wrapping_add(hash(key, value)));
         if sum != applied.sum {
             return Err(StoreError::View { what: "its entries do not add up".to_owned() });
         }
         Ok(live)
+    }
+
+    fn of(db: Entries, applied: Applied, path: &Path) -> Self {
+        Self { db, anew: OnceLock::new(), path: path.to_owned(), applied, waiting: Changes::new() }
     }
 
     /// Applies the frames of the journal that the view lacks.
@@ -132,8 +150,19 @@ impl Live {
         if self.applied.journal != journal.id() {
             return Err(StoreError::View { what: "it was made from another journal".to_owned() });
         }
-        let mut end = self.applied.offset;
-        let reached = journal.replay(self.applied.offset, |payload, frame_end| {
+        if !self.replay(journal.end())? {
+            let what =
+                format!("it stands for {} bytes of a journal of {}", self.applied.offset, journal.end());
+            return Err(StoreError::View { what });
+        }
+        Ok(self)
+    }
+
+    /// Applies the frames up to `length` bytes of the journal. Returns `false`, with nothing applied, when
+    /// none begins or ends where the view ends.
+    fn replay(&mut self, length: u64) -> Result<bool, StoreError> {
+        let (path, mut end) = (self.path.clone(), self.applied.offset);
+        let reached = journal::replay(&path, self.applied.offset, length, |payload, frame_end| {
             let events: Vec<Event> = serde_json::from_slice(payload)
                 .map_err(|e| StoreError::Unreadable { before: frame_end, what: e.to_string() })?;
             let mut staged = std::mem::take(&mut self.waiting);
@@ -144,36 +173,59 @@ impl Live {
             self.waiting = staged;
             if self.waiting.len() >= REBUILD_KEYS { self.apply(end) } else { Ok(()) }
         })?;
-        if !reached {
-            let what =
-                format!("it stands for {} bytes of a journal of {}", self.applied.offset, journal.end());
-            return Err(StoreError::View { what });
+        if reached {
+            self.apply(end)?;
         }
-        self.apply(end)?;
-        Ok(self)
+        Ok(reached)
     }
 
-    /// Applies the changes of a frame of the journal that ends at `end`. When sled refuses them, the entries
-    /// go on in memory.
-    pub(super) fn take(&mut self, changes: Changes, end: u64, journal: &Journal) {
+    /// Reads the entries, without waiting changes: those of sled, or from its first error on those of the
+    /// journal.
+    fn read<A>(&self, ask: impl Fn(&dyn Table) -> Result<A, StoreError>) -> Result<A, StoreError> {
+        if let Some(entries) = self.anew.get() {
+            return ask(entries);
+        }
+        match ask(&self.db) {
+            Err(StoreError::View { what }) => ask(self.read_anew(&what)?),
+            answer => answer,
+        }
+    }
+
+    /// The entries that the view stands for, from the journal: sled cannot be read.
+    fn read_anew(&self, what: &str) -> Result<&BTreeMap<Bytes, Bytes>, StoreError> {
+        let applied = Applied { offset: HEADER_BYTES, sum: 0, ..self.applied };
+        let mut anew = Self::of(Entries::Memory(BTreeMap::new()), applied, &self.path);
+        // What follows may not be durable yet.
+        let replayed = anew.replay(self.applied.offset).inspect_err(
+            |unread| tracing::error!(%what, %unread, "neither the store's view nor its journal can be read"),
+        );
+        if !replayed? {
+            return Err(StoreError::View { what: what.to_owned() });
+        }
+        let entries: BTreeMap<Bytes, Bytes> = anew.db.scan(&[])?.into_iter().collect();
+        tracing::warn!(
+            %what, entries = entries.len(),
+            "the store's view cannot be read; until the next start it is kept in memory, made from the journal"
+        );
+        Ok(self.anew.get_or_init(|| entries))
+    }
+
+    /// Applies the changes of a frame of the journal that ends at `end`. When sled refuses them, or could not
+    /// be read before, the entries go on in memory.
+    pub(super) fn take(&mut self, changes: Changes, end: u64) {
+        if let Some(entries) = self.anew.take() {
+            self.go_on_with(entries);
+        }
         self.waiting.extend(changes);
         let Err(error) = self.apply(end) else { return };
-        match self.in_memory(journal) {
+        match self.scan(&[]) {
             Ok(entries) => {
                 tracing::warn!(
                     %error, entries = entries.len(),
                     "the store's view refused a change, which is durable in the journal; until the next \
                      start the view is kept in memory"
                 );
-                let old = std::mem::replace(&mut self.db, Entries::Memory(entries));
-                // On a disk in trouble sled panics when it is closed.
-                let closed = guarded(|| {
-                    drop(old);
-                    Ok(())
-                });
-                if let Err(error) = closed {
-                    tracing::warn!(%error, "the store's view could not be closed");
-                }
+                self.go_on_with(entries.into_iter().collect());
                 self.applied.offset = end;
                 self.waiting.clear();
             }
@@ -185,16 +237,17 @@ impl Live {
         }
     }
 
-    /// All entries with the waiting changes; from the journal where sled cannot be read.
-    fn in_memory(&self, journal: &Journal) -> Result<BTreeMap<Bytes, Bytes>, StoreError> {
-        match self.scan(&[]) {
-            Ok(entries) => Ok(entries.into_iter().collect()),
-            Err(_) => {
-                let entries = Entries::Memory(BTreeMap::new());
-                let applied = Applied { journal: 0, offset: 0, sum: 0 };
-                let anew = Self { db: entries, applied, waiting: Changes::new() }.caught_up(journal)?;
-                Ok(anew.scan(&[])?.into_iter().collect())
-            }
+    /// Puts entries in sled's place, and closes it.
+    fn go_on_with(&mut self, entries: BTreeMap<Bytes, Bytes>) {
+        self.anew = OnceLock::new();
+        let old = std::mem::replace(&mut self.db, Entries::Memory(entries));
+        // On a disk in trouble sled panics when it is closed.
+        let closed = guarded(|| {
+            drop(old);
+            Ok(())
+        });
+        if let Err(error) = closed {
+            tracing::warn!(%error, "the store's view could not be closed");
         }
     }
 
@@ -215,6 +268,12 @@ impl Live {
     pub(super) fn refuse_changes(&mut self) {
         let entries = self.scan(&[]).unwrap();
         self.db = Entries::Memory(entries.into_iter().collect());
+    }
+
+    /// From now on sled is as on a full disk: it can neither be read nor changed.
+    #[cfg(test)]
+    pub(super) fn get_stuck(&mut self) {
+        self.db = Entries::Stuck;
     }
 
     /// Gives the waiting changes to sled, in one batch with the offset that the view then contains.
@@ -239,6 +298,8 @@ impl Live {
         batch.insert(APPLIED, encode(APPLIED, &applied)?);
         match &mut self.db {
             Entries::Sled(db) => guarded(|| db.apply_batch(batch))?,
+            #[cfg(test)]
+            Entries::Stuck => return Err(stuck()),
             Entries::Memory(entries) => {
                 for (key, value) in std::mem::take(&mut self.waiting) {
                     match value {
@@ -267,4 +328,9 @@ fn guarded<T>(call: impl FnOnce() -> sled::Result<T>) -> Result<T, StoreError> {
         Ok(result) => result.map_err(|e| StoreError::View { what: e.to_string() }),
         Err(_) => Err(StoreError::View { what: "sled panicked".to_owned() }),
     }
+}
+
+#[cfg(test)]
+fn stuck() -> StoreError {
+    StoreError::View { what: "no space left on device".to_owned() }
 }

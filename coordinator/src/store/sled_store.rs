@@ -58,7 +58,7 @@ impl SledStore {
             return Err(JournalError::Missing { path, view }.into());
         }
         let journal = Journal::open(&path)?;
-        let live = match Live::open(&view).and_then(|live| live.caught_up(&journal)) {
+        let live = match Live::open(&view, &journal).and_then(|live| live.caught_up(&journal)) {
             Ok(live) => live,
             Err(StoreError::View { what }) => {
                 let aside = move_aside(&view)?;
@@ -66,7 +66,7 @@ impl SledStore {
                     %what, aside = %aside.display(),
                     "the store's view is unusable; it is rebuilt from the journal"
                 );
-                Live::open(&view)?.caught_up(&journal)?
+                Live::open(&view, &journal)?.caught_up(&journal)?
             }
             Err(other) => return Err(other),
         };
@@ -88,6 +88,11 @@ impl SledStore {
     /// Does what a refused change does: the view goes on in memory.
     pub(super) fn refuse_changes(&self) {
         self.live.write().unwrap_or_else(PoisonError::into_inner).refuse_changes();
+    }
+
+    /// Does what sled does on a full disk.
+    pub(super) fn get_stuck(&self) {
+        self.live.write().unwrap_or_else(PoisonError::into_inner).get_stuck();
     }
 }
 
@@ -139,7 +144,7 @@ fn compacted(
     remove_view(view)?;
     tracing::info!("the journal was compacted from {from} to {to} bytes");
     let journal = Journal::open(path)?;
-    let live = Live::open(view)?.caught_up(&journal)?;
+    let live = Live::open(view, &journal)?.caught_up(&journal)?;
     Ok((journal, live))
 }
 
@@ -264,7 +269,7 @@ impl Writer {
         if let Some(tell) = self.told.syncs.get() {
             tell(begun.elapsed());
         }
-        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end, &self.journal);
+        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
         Ok(())
     }
 }
