@@ -190,6 +190,9 @@ def _settle(farm: Farm, told: Acknowledged, outcome: Outcome, until: float) -> N
                 # Which blob was a scene is not always known when it is damaged.
                 sent = time.monotonic()
                 farm.call(clients.submission(farm, number, farm.schedule.errands[number].variant))
+                if state == "paused":
+                    # For its scene, by a coordinator that has been killed since: no other knows why.
+                    farm.call(["resume", str(job)])
         time.sleep(0.4)
     if wanted:
         outcome.problems.append(f"jobs {sorted(wanted)} have not ended in time:\n{farm.call(['jobs'])[1]}")
