@@ -2,8 +2,8 @@
 //!
 //! For each scene: how long its cells take to build; then from random points of its box that are in no closed
 //! solid, by both engines and in all modes, the time, the cells and the beams of a point, beside six item
-//! buffers of 512² by Embree from the same points; and a box's visible share beside rays to it. One thread does
-//! everything but build. Times are means; ratios are those of whole runs. A table in Markdown.
+//! buffers of 512² by Embree from the same points; and a box's visible share beside rays to it. One thread
+//! does everything but build. Times are means; ratios are those of whole runs. A table in Markdown.
 
 #![allow(clippy::print_stdout, reason = "a program for people at a terminal")]
 
@@ -58,8 +58,8 @@ fn main() -> Result<(), AnyError> {
         write(&mut file, &built.contents())?;
         println!("\n### {name}\n");
         println!(
-            "{} triangles, {} Delaunay tetrahedra, {} cut, {} cells, {} added vertices, {:.2} cells a triangle, \
-             {:.2} % of {} signs in integers; built in {seconds:.1} s; {:.0} MB\n",
+            "{} triangles, {} Delaunay tetrahedra, {} cut, {} cells, {} added vertices, {:.2} cells a \
+             triangle, {:.2} % of {} signs in integers; built in {seconds:.1} s; {:.0} MB\n",
             scene.len(),
             built.tetrahedra,
             built.counts.cut,
@@ -115,7 +115,7 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
     }
     let buffers = start.elapsed().as_secs_f64() / points.len() as f64;
     println!(
-        "| mode | engine | ms | of six item buffers | seen | µs a triangle seen | cells or boxes | beams | dropped |"
+        "| mode | engine | ms | of buffers | seen | µs a triangle seen | cells or boxes | beams | dropped |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
     println!(
@@ -163,8 +163,8 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
     targets(args, scene, tets, &points, &embree)
 }
 
-/// Boxes with a hundredth of the scene's greatest side, seen from the points: shares of their pictures, and rays
-/// to random places in them.
+/// Boxes with a hundredth of the scene's greatest side, seen from the points: shares of their pictures, and
+/// rays to random places in them.
 fn targets(
     args: &Args,
     scene: &Scene,

@@ -148,8 +148,8 @@ impl Journal {
 }
 
 /// Calls `visit` for the payloads of all frames from `from` on, each with the offset of the frame's end, in
-/// the first `length` bytes of an open journal, which may grow meanwhile. Returns `false` without a call if no
-/// frame begins or ends at `from`.
+/// the first `length` bytes of an open journal, which may grow meanwhile. Returns `false` without a call if
+/// no frame begins or ends at `from`.
 pub(super) fn replay<E: From<JournalError>>(
     path: &Path,
     from: u64,

@@ -205,7 +205,8 @@ impl Live {
         let entries: BTreeMap<Bytes, Bytes> = anew.db.scan(&[])?.into_iter().collect();
         tracing::warn!(
             %what, entries = entries.len(),
-            "the store's view cannot be read; until the next start it is kept in memory, made from the journal"
+            "the store's view cannot be read; it is made from the journal and kept in memory until the \
+             next start"
         );
         Ok(self.anew.get_or_init(|| entries))
     }

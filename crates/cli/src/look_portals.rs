@@ -1,4 +1,5 @@
-//! `sightline look OUT.pvs`: what is seen through portals from viewpoints, one JSON line in, one JSON line out.
+//! `sightline look OUT.pvs`: what is seen through portals from viewpoints, one JSON line in, one JSON line
+//! out.
 
 use std::time::Instant;
 

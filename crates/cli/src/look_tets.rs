@@ -77,18 +77,24 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let tets = open(&args.file)?;
     let has_unseen = tets.contents().surfaces.flags.iter().any(|f| f & (BLOCKS | SHOWS) == BLOCKS);
     let answering = Answering { tets: &tets, mode, args, has_unseen };
-    let example = r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[{"id":1,"min":[x,y,z],"max":[x,y,z]}]}"#;
+    let example = r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
-    let engine = match args.engine.unwrap_or_default() {
-        LookEngine::Auto => tets.engine(mode),
-        LookEngine::Tetra => Engine::Cells,
-        LookEngine::Bvh => Engine::Boxes,
+    // The first point decides for all, whichever lines are read together with it.
+    let mut engine = match args.engine.unwrap_or_default() {
+        LookEngine::Auto => None,
+        LookEngine::Tetra => Some(Engine::Cells),
+        LookEngine::Bvh => Some(Engine::Boxes),
     };
     let pool: Mutex<Vec<Scratch>> = Mutex::default();
     let (mut times, mut counts): (Vec<u64>, Vec<usize>) = (Vec::new(), Vec::new());
     let ended = 'all: loop {
-        let (queries, failure) = input.read(|line: Line| query(line, args.witnesses, engine));
+        let (mut queries, failure) = input.read(|line: Line| query(line, args.witnesses));
         let last = queries.is_empty();
+        if let (None, Some(Query { point, view, .. })) = (engine, queries.first()) {
+            // What is wrong with the first point is told with its line.
+            engine = tets.faster(*point, view, mode, &mut Scratch::default()).ok();
+        }
+        queries.iter_mut().for_each(|query| query.view.engine = engine.unwrap_or_default());
         let first = input.lines - queries.len() as u64 - u64::from(failure.is_some());
         let answers: Vec<Result<Answer, LookError>> = queries
             .into_par_iter()
@@ -141,7 +147,7 @@ fn mode(args: &LookArgs) -> Result<Mode, CliError> {
     }
     match args.mode.unwrap_or_default() {
         LookMode::Exact if args.angle.is_some() => Err(CliError::Usage(
-            "--angle is for beams that are not decided exactly; add --mode aggressive or --mode conservative, \
+            "--angle is for beams that are not decided exactly; add --mode aggressive or conservative, \
              or leave it out"
                 .to_owned(),
         )),
@@ -151,14 +157,15 @@ fn mode(args: &LookArgs) -> Result<Mode, CliError> {
     }
 }
 
-fn query(line: Line, witnesses: bool, engine: Engine) -> Result<Query, String> {
+fn query(line: Line, witnesses: bool) -> Result<Query, String> {
     let Line { id, point, direction, fov, distance, targets } = line;
     if fov.is_some() && direction.is_none() {
-        return Err("\"fov\" is the angle around a direction; give \"direction\" too, or neither".to_owned());
+        return Err("\"fov\" is an angle around a direction; give \"direction\" too, or neither".to_owned());
     }
     let angle = fov.unwrap_or(FOV).to_radians();
     let targets = targets.into_iter().map(|t| (t.id, Target { low: t.min, high: t.max })).collect();
-    Ok(Query { id, point, view: View { direction, angle, distance, witnesses, engine }, targets })
+    let view = View { direction, angle, distance, witnesses, ..View::default() };
+    Ok(Query { id, point, view, targets })
 }
 
 struct Answer {

@@ -65,8 +65,8 @@ impl Watch for Follower {
         let taken = peak_memory().unwrap_or_default().saturating_sub(self.taken_before);
         match memory::available() {
             Some(free) if bytes.saturating_sub(taken) > free => Err(format!(
-                "the cells will take about {} of memory, and {} are free; end other programs, divide the scene, \
-                 or use a machine with more",
+                "the cells will take about {} of memory, and {} are free; end other programs, divide the \
+                 scene, or use a machine with more",
                 memory::in_words(bytes),
                 memory::in_words(free)
             )),
@@ -101,7 +101,8 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     let peak = peak_memory();
     if json {
         let mut value = json!({
-            "output": output.display().to_string(), "triangles": triangles, "vertices": vertices, "added": added,
+            "output": output.display().to_string(),
+            "triangles": triangles, "vertices": vertices, "added": added,
             "tetrahedra": built.tetrahedra, "cells": cells, "faces": contents.cells.face_count(),
             "cut": built.counts.cut, "whole": built.counts.whole, "meetings": built.counts.meetings,
             "signs": built.counts.decisions.all, "integers": built.counts.decisions.integers,
@@ -158,8 +159,8 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
     match json {
         true => print(&json!({"accepted": true, "cells": cells, "triangles": triangles}).to_string()),
         false => print(&format!(
-            "accepted: {} fill the box without overlap, neighbours agree, and each of {} with an area is covered \
-             once",
+            "accepted: {} fill the box without overlap, neighbours agree, and each of {} with an area is \
+             covered once",
             plural(cells, "cell"),
             plural(triangles, "triangle")
         )),

@@ -29,13 +29,13 @@ pub struct TetraArgs {
     /// The file to write.
     #[arg(short, long, value_name = "OUT.tets", required_unless_present = "check")]
     pub output: Option<PathBuf>,
-    /// Also write the cells as tetrahedra, a file that ParaView and other programs with VTK read. Each has the
-    /// number of its cell and the number of solids that hold it, and each triangle of the scene is there with
-    /// its id.
+    /// Also write the cells as tetrahedra, a file that ParaView and other programs with VTK read. Each has
+    /// the number of its cell and the number of solids that hold it, and each triangle of the scene is there
+    /// with its id.
     #[arg(long, value_name = "MESH.vtu", conflicts_with = "check")]
     pub export: Option<PathBuf>,
-    /// Check a file: that its cells fill the box without overlap, that neighbours agree, and that each triangle
-    /// is covered once. If not, the exit code is 3.
+    /// Check a file: that its cells fill the box without overlap, that neighbours agree, and that each
+    /// triangle is covered once. If not, the exit code is 3.
     #[arg(long, conflicts_with = "output", requires = "tets")]
     pub check: bool,
     #[command(flatten)]
@@ -51,8 +51,8 @@ pub enum LookMode {
     /// All that is visible, and nothing else.
     #[default]
     Exact,
-    /// Nothing that is hidden, and not less than the angle allows: what is seen in beams narrower than --angle
-    /// may be missing, and "dropped" is their solid angle.
+    /// Nothing that is hidden, and not less than the angle allows: what is seen in beams narrower than
+    /// --angle may be missing, and "dropped" is their solid angle.
     Aggressive,
     /// All that is visible, and in beams narrower than --angle also what is hidden in part.
     Conservative,
@@ -61,7 +61,7 @@ pub enum LookMode {
 /// Who answers.
 #[derive(ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LookEngine {
-    /// The one that measured faster for the mode and the size of the scene (docs/look.md).
+    /// The one that has less to do for the first point (docs/look.md).
     #[default]
     Auto,
     /// The cells, front to back.
@@ -114,8 +114,8 @@ pub struct LookArgs {
     /// holds the point, or where no direction in doubles is certain.
     #[arg(long, help_heading = TETS)]
     pub witnesses: bool,
-    /// Threads, 1 to 256. Default: one, as a program that asks point after point has; with more, lines that are
-    /// there already are answered together.
+    /// Threads, 1 to 256. Default: one, as a program that asks point after point has; with more, lines that
+    /// are there already are answered together.
     #[arg(long, value_name = "N", help_heading = TETS)]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=256))]
     pub threads: Option<u16>,

@@ -1,7 +1,7 @@
 //! `sightline tetra --export`: cells as tetrahedra in VTK's XML format for unstructured grids.
 //!
-//! The arrays are in base64 behind their length in bytes as an u64, all little-endian ("VTK XML Formats", VTK's
-//! documentation).
+//! The arrays are in base64 behind their length in bytes as an u64, all little-endian ("VTK XML Formats",
+//! VTK's documentation).
 
 use std::io::Write;
 

@@ -1,8 +1,9 @@
 //! The error of a result without pixels: the solid angle that its sets miss, by exact sets from points.
 //!
 //! From each viewpoint the exact set with the solid angle of each triangle is compared with the set of the
-//! viewpoint's cell (`sightline_tetra::look`). Item buffers overlook what falls between their pixels; this does
-//! not, so a triangle that is missed by a set is found however narrow the gap is through which it is seen.
+//! viewpoint's cell (`sightline_tetra::look`). Item buffers overlook what falls between their pixels; this
+//! does not, so a triangle that is missed by a set is found however narrow the gap is through which it is
+//! seen.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
@@ -33,8 +34,8 @@ pub struct ExactReport {
     pub p99_error: f64,
     /// The error of the worst viewpoint.
     pub max_error: f64,
-    /// Number of viewpoints from which a triangle is seen that is not in the set. See-through triangles count,
-    /// but have no solid angle.
+    /// Number of viewpoints from which a triangle is seen that is not in the set. See-through triangles
+    /// count, but have no solid angle.
     pub frames_with_error: u64,
     /// Mean over the viewpoints of the number of triangles that are seen.
     pub mean_seen: f64,

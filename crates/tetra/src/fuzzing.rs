@@ -37,8 +37,8 @@ fn file(triangles: &[[[f32; 3]; 3]]) -> Option<Vec<u8>> {
     Some(file)
 }
 
-/// Bytes as a viewpoint and corners of triangles in single precision: their cells pass the checker, both engines
-/// see the same, and all parts add up. Returns whether there were cells.
+/// Bytes as a viewpoint and corners of triangles in single precision: their cells pass the checker, both
+/// engines see the same, and all parts add up. Returns whether there were cells.
 ///
 /// # Panics
 /// Where that does not hold. No bytes may cause that.

@@ -53,8 +53,8 @@ pub const FLAT: u8 = 1;
 pub const BLOCKS: u8 = 2;
 /// The triangle can be seen.
 pub const SHOWS: u8 = 4;
-/// The triangle belongs to a closed surface of triangles that block ([`Solids`]). Where the normals of such a surface point
-/// out it bounds a solid, and where they point in it bounds a cavity.
+/// The triangle belongs to a closed surface of triangles that block ([`Solids`]). Where the normals of such a
+/// surface point out it bounds a solid, and where they point in it bounds a cavity.
 pub const CLOSED: u8 = 8;
 
 impl Surfaces {

@@ -84,7 +84,8 @@ fn nothing_but_integers_is_allocated_after_the_first_query() {
         Triangle { v: [at, at + point(2.0), at + point(2.0)] }
     };
     check((0..120).map(scattered).collect(), [5.1, 4.9, 5.3], true);
-    // Triangles apart from each other, and no box, whose sides are those of octants: doubles decide every sign.
+    // Triangles apart from each other, and no box, whose sides are those of octants: doubles decide every
+    // sign.
     let apart = |k: u32| {
         let at = Vec3::new(0.3 * (k % 5) as f32, 3.0 + k as f32, 1.7 * (k % 3) as f32);
         Triangle { v: [at, at + Vec3::new(0.11, 0.02, 0.0), at + Vec3::new(0.0, 0.03, 0.13)] }

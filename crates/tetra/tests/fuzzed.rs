@@ -1,4 +1,5 @@
-//! The bodies of the fuzz targets `soup` and `tets` on random and mutated bytes, and on inputs that once failed.
+//! The bodies of the fuzz targets `soup` and `tets` on random and mutated bytes, and on inputs that once
+//! failed.
 
 use sightline_tetra::fuzzing::{seed, soup, tets};
 

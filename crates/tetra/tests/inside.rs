@@ -97,7 +97,10 @@ proptest! {
     /// Wherever the walk begins, it ends in a cell that holds the point.
     #[test]
     fn boxes_hold_what_is_in_them(
-        boxes in prop::collection::vec((prop::array::uniform3(0i8..6), prop::array::uniform3(1i8..4), any::<bool>()), 1..4),
+        boxes in prop::collection::vec(
+            (prop::array::uniform3(0i8..6), prop::array::uniform3(1i8..4), any::<bool>()),
+            1..4,
+        ),
         points in prop::collection::vec(prop::array::uniform3(-1.0f64..9.0), 8),
         hint in any::<u32>(),
     ) {

@@ -19,9 +19,10 @@ use super::polygon::{Corners, Polygon, reverse};
 use super::result::{Cells, Counts, FaceRecord};
 
 /// Memory that a tetrahedron takes with its faces, and that every triangle adds that passes through one: the
-/// peak of whole runs of `sightline tetra` on scenes of 12 000 to 715 000 triangles, with some to spare.
-const BYTES_A_TETRAHEDRON: u64 = 600;
-const BYTES_A_MEETING: u64 = 600;
+/// peak of whole runs of `sightline tetra --json` on scenes of 12 231 to 147 829 triangles, which took 489
+/// and 176 beside each other, with some to spare.
+const BYTES_A_TETRAHEDRON: u64 = 550;
+const BYTES_A_MEETING: u64 = 220;
 
 /// Tetrahedra whose faces are made before they are gathered.
 const BATCH: usize = 1 << 14;

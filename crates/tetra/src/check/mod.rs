@@ -156,8 +156,8 @@ impl Checker<'_> {
         if is_in { Ok(()) } else { Err(Fault::NotOf { face, triangle }) }
     }
 
-    /// The solids that hold the two cells of a face differ by those that begin or end in it; outside of the box
-    /// there are none.
+    /// The solids that hold the two cells of a face differ by those that begin or end in it; outside of the
+    /// box there are none.
     fn solids(&self, face: u32, windings: &[i32]) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
         let [front, behind] = record.cells.map(|cell| match cell {

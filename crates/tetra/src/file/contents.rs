@@ -1,4 +1,5 @@
-//! What is in a `.tets` file, as lists that are used where they are, and whether their numbers name something.
+//! What is in a `.tets` file, as lists that are used where they are, and whether their numbers name
+//! something.
 
 use bytemuck::{AnyBitPattern, cast_slice};
 
@@ -65,8 +66,9 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// That all numbers name something, that cells and faces list each other, that boxes hold what is in them,
-    /// and that solids begin and end at their triangles. Whether the cells are right is for `check` to say.
+    /// That all numbers name something, that cells and faces list each other, that boxes hold what is in
+    /// them, and that solids begin and end at their triangles. Whether the cells are right is for `check` to
+    /// say.
     ///
     /// # Errors
     /// [`TetsError::Malformed`].

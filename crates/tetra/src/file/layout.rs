@@ -214,8 +214,8 @@ pub(super) fn header(digest: &[u8; 32], sections: &[(u32, u64); SECTIONS]) -> Ve
     header
 }
 
-/// Makes all checksums of a file right, if its header and sections are where they should be: for tests of what
-/// is behind them.
+/// Makes all checksums of a file right, if its header and sections are where they should be: for tests of
+/// what is behind them.
 pub(crate) fn seal(file: &mut [u8]) {
     if file.len() < HEADER {
         return;

@@ -16,8 +16,9 @@ pub struct Tets {
     unit: i32,
 }
 
-/// From so many triangles on cells are faster than boxes for exact sets.
-const MANY: usize = 30_000;
+/// Microseconds that a beam and a box take, and a beam and a cell, on one machine
+/// (`docs/experiments/look.md`). Only their relations count.
+const COSTS: ([f64; 2], [f64; 2]) = ([7.0, 0.12], [8.0, 1.0]);
 
 enum Bytes {
     Mapped(memmap2::Mmap),
@@ -44,8 +45,8 @@ impl Tets {
     /// Maps a file into memory and checks its checksums and all its numbers. The operating system can drop
     /// pages that are not used afterwards.
     ///
-    /// The file must not be changed in place while it is open. Replace it by writing another file and renaming
-    /// it.
+    /// The file must not be changed in place while it is open. Replace it by writing another file and
+    /// renaming it.
     ///
     /// # Errors
     /// [`TetsError`] for a file that cannot be read, was cut short or altered, or contradicts itself.
@@ -92,9 +93,9 @@ impl Tets {
         Looker::with_unit(surfaces, boxes, cells, self.unit)
     }
 
-    /// A cell that holds a point in world coordinates, its border included; nothing outside of the cells' box.
-    /// The search walks from the cell `hint`, best that of a point nearby; without one it starts at the nearest
-    /// of some cells that are spread over the scene.
+    /// A cell that holds a point in world coordinates, its border included; nothing outside of the cells'
+    /// box. The search walks from the cell `hint`, best that of a point nearby; without one it starts at the
+    /// nearest of some cells that are spread over the scene.
     ///
     /// # Errors
     /// [`LookError::Coordinate`] for numbers that are out of range.
@@ -150,14 +151,29 @@ impl Tets {
         self.looker().sees(x, target, view, mode, scratch)
     }
 
-    /// The engine that answers when none is named: the one that measured faster on scenes of this size (`look` in
-    /// the crate of benches). Without beams to cut, in the conservative mode, cells find what is in front first
-    /// and so less of what is behind.
-    pub fn engine(&self, mode: Mode) -> Engine {
+    /// The engine that takes less time for points like this one, by how much each goes through for it: the
+    /// same question gives the same engine on every machine. In the conservative mode it is always the cells,
+    /// which come in order, so that less of what is behind is listed.
+    ///
+    /// # Errors
+    /// [`LookError`] for numbers that are out of range.
+    pub fn faster(
+        &self,
+        x: [f64; 3],
+        view: &View,
+        mode: Mode,
+        scratch: &mut Scratch,
+    ) -> Result<Engine, LookError> {
+        let mut cost = |engine, beam: f64, step: f64| {
+            let seen = self.look(x, &View { engine, ..view.clone() }, mode, scratch)?;
+            Ok(beam * seen.beams as f64 + step * seen.cells as f64)
+        };
+        let boxes = cost(Engine::Boxes, COSTS.0[0], COSTS.0[1])?;
+        let cells = cost(Engine::Cells, COSTS.1[0], COSTS.1[1])?;
         match mode {
-            Mode::Conservative(_) => Engine::Cells,
-            Mode::Exact if self.contents().surfaces.triangles.len() >= MANY => Engine::Cells,
-            Mode::Exact | Mode::Aggressive(_) => Engine::Boxes,
+            Mode::Conservative(_) => Ok(Engine::Cells),
+            Mode::Exact | Mode::Aggressive(_) if cells < boxes => Ok(Engine::Cells),
+            Mode::Exact | Mode::Aggressive(_) => Ok(Engine::Boxes),
         }
     }
 }

@@ -144,8 +144,8 @@ impl Search<'_> {
         self.end(beam, cap.as_ref());
     }
 
-    /// The square of how far away the cap is at most in a beam, with what rounding may add; infinite without a
-    /// cap, and where cells answer, whose keys are no bounds.
+    /// The square of how far away the cap is at most in a beam, with what rounding may add; infinite without
+    /// a cap, and where cells answer, whose keys are no bounds.
     fn reach(&self, beam: &Beam, cap: Option<&Facing>) -> f64 {
         let Some(cap) = cap.filter(|_| self.scene.space.is_none()) else { return f64::INFINITY };
         // The part of the plane in the beam is convex, so a corner is its farthest place.
@@ -185,8 +185,8 @@ impl Search<'_> {
         beam.pending.push(Entry { key: key.min(first.0), first: first.1, count: 0 });
     }
 
-    /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part of
-    /// has been there: what that found waits already.
+    /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part
+    /// of has been there: what that found waits already.
     fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, entry: &Entry) {
         let Some(space) = &self.scene.space else { return };
         let Scratch { planes, entered, seen, rings, .. } = &mut *self.scratch;

@@ -141,10 +141,10 @@ impl<'a> Space<'a> {
         None
     }
 
-    /// Of some cells, spread evenly over the list and so over space, the one with a vertex nearest to a place.
-    /// With as many as the cubic root of all, finding it takes about as long as the walk from it (Mücke, Saias
-    /// and Zhu, "Fast Randomized Point Location Without Preprocessing in Two- and Three-Dimensional Delaunay
-    /// Triangulations", 1996).
+    /// Of some cells, spread evenly over the list and so over space, the one with a vertex nearest to a
+    /// place. With as many as the cubic root of all, finding it takes about as long as the walk from it
+    /// (Mücke, Saias and Zhu, "Fast Randomized Point Location Without Preprocessing in Two- and
+    /// Three-Dimensional Delaunay Triangulations", 1996).
     fn nearest_of_some(&self, x: [f64; 3]) -> Option<u32> {
         let count = self.cells.cell_count();
         let step = ((count as f64).powf(2.0 / 3.0) as usize).max(1);
@@ -162,8 +162,8 @@ impl<'a> Space<'a> {
         if entry.count == THROUGH_FACE { self.beyond(entry.first) } else { entry.first }
     }
 
-    /// Whether a beam may still go through the face by which an entry is to be entered. It has become narrower
-    /// since the entry was made.
+    /// Whether a beam may still go through the face by which an entry is to be entered. It has become
+    /// narrower since the entry was made.
     pub fn is_reached(
         &self,
         eye: &Eye<'_>,

@@ -9,8 +9,8 @@ use super::beam::{Edge, Ring};
 /// A box or a cell to go through, or triangles to meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Entry {
-    /// For cells: their place in the order. For boxes: the square of a distance, and no box that waits below in
-    /// the list is nearer.
+    /// For cells: their place in the order. For boxes: the square of a distance, and no box that waits below
+    /// in the list is nearer.
     pub key: f64,
     /// A box, or the place of the first triangle.
     pub first: u32,
@@ -55,8 +55,8 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Puts a part of a beam on the stack. `made` are the numbers of planes that exist, and of cells that the beam
-    /// has entered.
+    /// Puts a part of a beam on the stack. `made` are the numbers of planes that exist, and of cells that the
+    /// beam has entered.
     pub fn push(&mut self, beam: &Beam, ring: &[Edge], caps: &[u32], whole: bool, made: (usize, usize)) {
         self.tops.push(Top {
             ring: self.ring.len(),
@@ -72,7 +72,8 @@ impl Stack {
         self.met.extend_from_slice(&beam.met);
     }
 
-    /// Takes the last beam; says how many planes it and the beams below it need, and how many cells it has entered.
+    /// Takes the last beam; says how many planes it and the beams below it need, and how many cells it has
+    /// entered.
     pub fn pop(&mut self, beam: &mut Beam) -> Option<(usize, usize)> {
         let top = self.tops.pop()?;
         fn take<T: Copy>(all: &mut Vec<T>, from: usize, to: &mut Vec<T>) {
