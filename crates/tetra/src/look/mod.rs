@@ -2,9 +2,11 @@
 
 mod areas;
 mod beam;
+mod ending;
 mod eye;
 pub mod hierarchy;
 mod looker;
+mod meeting;
 mod planes;
 mod rounded;
 mod scratch;

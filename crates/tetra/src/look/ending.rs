@@ -1,0 +1,105 @@
+//! What is seen in a beam that has gone through everything in front of its cap.
+
+use crate::surfaces::{BLOCKS, SHOWS};
+
+use super::beam::{self, Place};
+use super::meeting::meeting;
+use super::planes::Facing;
+use super::scratch::Scratch;
+use super::search::Search;
+use super::stack::Beam;
+
+impl Search<'_> {
+    /// Ends a beam: counts what is seen in it.
+    pub(super) fn end(&mut self, beam: &mut Beam, cap: Option<&Facing>) {
+        self.scratch.seen.beams += 1;
+        let (whole, near) = self.limits.areas(&beam.ring, cap);
+        if beam.caps.iter().any(|t| *t as usize >= self.scene.triangles.len()) {
+            self.of_faces += near;
+            return;
+        }
+        let limited = self.limits.is_limited();
+        if limited && whole <= 0.0 {
+            return;
+        }
+        let mut undecided = false;
+        for k in 0..beam.met.len() {
+            let triangle = beam.met[k];
+            undecided |= self.end_met(beam, cap, triangle) && self.flags(triangle) & BLOCKS != 0;
+        }
+        let Scratch { planes, tally, seen, .. } = &mut *self.scratch;
+        let shows = |t: &&u32| self.scene.flags[**t as usize] & SHOWS != 0;
+        if !limited || near > 0.0 {
+            for t in beam.caps.iter().filter(shows) {
+                tally.see(*t);
+                if !undecided {
+                    tally.witness(*t, near, || beam::middle(planes, &beam.ring));
+                }
+            }
+        }
+        let owner = beam.caps.iter().filter(shows).min();
+        if undecided {
+            seen.dropped += whole;
+            return;
+        }
+        seen.sky += whole - near;
+        match owner {
+            Some(t) if near > 0.0 => {
+                tally.see(*t);
+                tally.add(*t, near);
+            }
+            Some(_) => {}
+            None => seen.unseen += near,
+        }
+    }
+
+    /// Whether a triangle that the beam met besides its cap is seen: its part of the beam in front of the
+    /// cap.
+    fn end_met(&mut self, beam: &Beam, cap: Option<&Facing>, triangle: u32) -> bool {
+        let shows = self.flags(triangle) & SHOWS != 0;
+        let Some(facing) = self.facing(triangle) else { return false };
+        if beam.whole {
+            let seen = self.against(beam, cap, &facing).0 != Place::Outside;
+            if seen && shows {
+                self.scratch.tally.see(triangle);
+            }
+            return seen;
+        }
+        let Scratch { planes, rings, tally, .. } = &mut *self.scratch;
+        let made = planes.list.len();
+        rings.inside.clear();
+        rings.inside.extend_from_slice(&beam.ring);
+        let [a, b, c] = facing.points;
+        let mut seen = true;
+        let edges = [Some((a, b)), Some((b, c)), Some((c, a)), None];
+        for edge in edges {
+            let side = match (edge, cap) {
+                (Some((a, b)), _) => planes.add_edge(&self.eye, a, b),
+                (None, Some(cap)) => planes.add(meeting(cap, &facing)),
+                (None, None) => continue,
+            };
+            match beam::place(planes, &self.eye, &rings.inside, side, &mut rings.signs) {
+                Place::Inside => {}
+                Place::Outside => {
+                    seen = false;
+                    break;
+                }
+                Place::Both => {
+                    let signs = &rings.signs;
+                    beam::cut(planes, &self.eye, &rings.inside, side, signs, &mut rings.next, &mut rings.far);
+                    std::mem::swap(&mut rings.inside, &mut rings.next);
+                }
+            }
+        }
+        if seen {
+            let near = self.limits.areas(&rings.inside, Some(&facing)).1;
+            seen = !self.limits.is_limited() || near > 0.0;
+            if seen && shows {
+                tally.see(triangle);
+                tally.witness(triangle, near, || beam::middle(planes, &rings.inside));
+            }
+        }
+        planes.list.truncate(made);
+        seen
+    }
+}
