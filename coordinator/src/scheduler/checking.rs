@@ -189,7 +189,10 @@ impl Machine {
         let job = self.jobs.get(&id)?;
         let spot = job.spots.get(&tile)?;
         let runs = job.record.state.phase() == JobPhase::Running && self.allowed(job) && !job.pending;
-        let free = job.tiles[tile.at()].leases == [None; 2] && spot.not_before <= now.ms && !spot.condemned;
+        // Tiles that it needs may be open again; then it is to be computed from what they will be.
+        let own = &job.tiles[tile.at()];
+        let ready = own.leases == [None; 2] && own.missing == 0;
+        let free = ready && spot.not_before <= now.ms && !spot.condemned;
         let profile = job.record.profile.as_deref()?;
         (runs && free).then(|| (Profile::from(profile), spot))
     }
