@@ -4,7 +4,8 @@
 //! them gives. Signs of polynomials whose terms have equal degree do not depend on that power.
 
 use dashu_int::IBig;
-use sightline_scene::exact::dyadic;
+use glam::DVec3;
+use sightline_scene::exact::{det3_small, differences, dyadic};
 
 use super::rounded::Rounded;
 
@@ -49,6 +50,13 @@ impl<'a> Eye<'a> {
     #[inline]
     pub fn between(&self, a: u32, b: u32) -> Rounded {
         Rounded::difference(self.point(b), self.point(a))
+    }
+
+    /// The sign of the determinant of the ways to three points, where their integers are short.
+    pub fn turn(&self, points: [u32; 3]) -> Option<i32> {
+        let points = points.map(|p| DVec3::from(self.point(p)));
+        let rows = differences(DVec3::from(self.x), points)?;
+        det3_small(rows).map(|sign| sign as i32)
     }
 
     /// The way to a point in integers.

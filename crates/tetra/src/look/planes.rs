@@ -121,8 +121,15 @@ impl Planes {
             None if self.shared(corner, side) => 0,
             None => {
                 self.integers += 1;
-                let way = self.way_exactly(eye, corner);
-                eye::sign(&eye::dot(&way, &normal_exactly(eye, self.list[side.plane()].kind)))
+                let kind = plane.kind;
+                let short = match kind {
+                    Kind::Edge(a, b) if corner.point != NONE => eye.turn([corner.point, a, b]),
+                    _ => None,
+                };
+                short.unwrap_or_else(|| {
+                    let way = self.way_exactly(eye, corner);
+                    eye::sign(&eye::dot(&way, &normal_exactly(eye, kind)))
+                })
             }
         };
         if side.negative() { -sign } else { sign }
@@ -197,7 +204,8 @@ impl Facing {
         let [a, b, c] = points;
         let normal = eye.between(a, b).cross(&eye.between(a, c));
         let height = eye.to(a).dot(&normal);
-        let sign = height.sign().unwrap_or_else(|| {
+        // (a − x) · ((b − a) × (c − a)) is the determinant of the ways to the three.
+        let sign = height.sign().or_else(|| eye.turn(points)).unwrap_or_else(|| {
             let [ab, ac] = [b, c].map(|p| eye.between_exactly(a, p));
             eye::sign(&eye::dot(&eye.to_exactly(a), &eye::cross(&ab, &ac)))
         });
