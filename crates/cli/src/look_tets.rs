@@ -65,7 +65,7 @@ struct Answering<'a> {
 /// Opens a file of `sightline tetra`; the error names it.
 pub fn open(path: &std::path::Path) -> Result<Tets, CliError> {
     Tets::open(path).map_err(|e| match e {
-        TetsError::Open { .. } => CliError::Input(format!("{e}; name a file that `sightline tetra` wrote")),
+        TetsError::Open { .. } => CliError::Input(e.to_string()),
         e => CliError::Input(format!("{}: {e}", path.display())),
     })
 }

@@ -184,6 +184,10 @@ fn every_kind_of_fault_is_found() {
     assert!(matches!(fails(&|c| c.cells[1].faces_start = u32::MAX), Fault::Number { .. }));
     assert!(matches!(fails(&|c| c.planes[0].0[1] = c.planes[0].0[0]), Fault::Plane(0)));
     assert!(matches!(fails(&|c| c.meets[0][1] = c.meets[0][0]), Fault::Vertex(_)));
+    let farther = |by: f64| move |c: &mut Cells| c.rounded[0][1] += by;
+    // The box is below 16 wide, and 16 · 2⁻⁴⁴ is the bound.
+    assert!(matches!(fails(&farther(3e-12)), Fault::Place(_)));
+    assert!(matches!(fails(&farther(-3e-12)), Fault::Place(_)));
     assert!(matches!(fails(&|c| c.loops[start(inner)] = 0), Fault::OffPlane { .. } | Fault::NotConvex(_)));
     assert!(matches!(fails(&|c| c.loops.swap(start(inner), start(inner) + 1)), Fault::NotConvex(_)));
     assert!(matches!(fails(&|c| c.faces[inner].cells.swap(0, 1)), Fault::Sides(_)));

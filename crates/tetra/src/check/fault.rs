@@ -21,6 +21,9 @@ pub enum Fault {
     /// A vertex is not one point.
     #[error("the planes of vertex {0} do not meet in one point; build it again")]
     Vertex(u32),
+    /// A vertex's place in doubles is too far from it.
+    #[error("the place of vertex {0} in doubles is too far from where its planes meet; build it again")]
+    Place(u32),
     /// A face's vertex is off its plane.
     #[error("vertex {vertex} of face {face} is not in the face's plane; build it again")]
     OffPlane {

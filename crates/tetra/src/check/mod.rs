@@ -1,6 +1,6 @@
 //! Whether cells are what they say, by other code than made them, with integers alone.
 //!
-//! What is checked with exact signs: each face lies in its plane, is convex and turns counter-clockwise; all
+//! What is checked with exact signs: each vertex is near its place in doubles; each face lies in its plane, is convex and turns counter-clockwise; all
 //! vertices of a cell are on its side of each of its faces, some off it; each face is listed once in front of
 //! one cell and once behind another, but for those on the box; each face that names a triangle lies in it;
 //! from cell to cell the number of solids changes by those that begin or end between them.
@@ -22,8 +22,10 @@ pub(crate) mod structure;
 use std::rc::Rc;
 
 use dashu_int::IBig;
+use dashu_int::ops::BitTest as _;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
+use sightline_scene::exact::dyadic;
 
 use crate::cells::{CellsView, NONE};
 use crate::file::Contents;
@@ -50,6 +52,10 @@ pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
     first((0..cells.planes.len()).into_par_iter(), |i| {
         let plane = checker.integers.plane(cells.planes[i]);
         if main_axis(&plane).1 == 0 { Err(Fault::Plane(i)) } else { Ok(()) }
+    })?;
+    in_parts(cells.meets.len(), |part| {
+        let mut known = Known::new(&checker.integers);
+        part.into_iter().try_for_each(|i| checker.place(i, &mut known))
     })?;
     in_parts(cells.face_count(), |part| {
         let mut known = Known::new(&checker.integers);
@@ -100,6 +106,31 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
+    /// The place of a vertex in doubles is as near to it as it is said to be: 2⁻⁴⁴ of the power of two above the
+    /// box's greatest side and one unit in the last place, in each coordinate.
+    fn place(&self, meet: usize, known: &mut Known<'_>) -> Result<(), Fault> {
+        let vertex = (self.cells.points.len() + meet) as u32;
+        let exact = known.vertex(vertex)?;
+        let [min, max] = self.bounds.map(|p| self.integers.point(p));
+        let greatest = (0..3).map(|i| &max[i] - &min[i]).max().unwrap_or_default();
+        let least = self.integers.least;
+        let share = greatest.bit_len() as i32 + least - 44;
+        for (k, place) in self.cells.rounded[meet].into_iter().enumerate() {
+            let (mantissa, exponent) = dyadic(place);
+            // The unit in the last place; that of a subnormal number is the least there is.
+            let last = (((place.to_bits() >> 52 & 0x7ff) as i32).max(1)) - 1075;
+            let unit = least.min(share).min(last).min(if mantissa == 0 { least } else { exponent });
+            let in_units = |number: IBig, exponent: i32| number << (exponent - unit) as usize;
+            let given = if mantissa == 0 { IBig::ZERO } else { in_units(IBig::from(mantissa), exponent) };
+            let apart = given * &exact[3] - in_units(exact[k].clone(), least);
+            let most = (in_units(IBig::ONE, share) + in_units(IBig::ONE, last)) * &exact[3];
+            if apart > most || -apart > most {
+                return Err(Fault::Place(vertex));
+            }
+        }
+        Ok(())
+    }
+
     fn face(&self, face: u32, known: &mut Known<'_>) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
         let numbers = self.cells.face_loop(face as usize);

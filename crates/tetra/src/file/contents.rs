@@ -11,6 +11,9 @@ use crate::surfaces::{BLOCKS, CLOSED, FLAT, SHOWS, SurfacesView};
 use super::error::TetsError;
 use super::layout::{Layout, Section};
 
+/// The remedy that both errors name.
+const AGAIN: &str = "; build it again";
+
 #[cfg(target_endian = "big")]
 compile_error!("a .tets file is used in place, and its numbers are little-endian");
 
@@ -66,9 +69,8 @@ impl<'a> Contents<'a> {
         }
     }
 
-    /// That all numbers name something, that cells and faces list each other, that boxes hold what is in
-    /// them, and that solids begin and end at their triangles. Whether the cells are right is for `check` to
-    /// say.
+    /// That all numbers name something, that cells and faces list each other, and that boxes hold what is in
+    /// them. Whether the cells are right, and the solids around them, is for `check` to say.
     ///
     /// # Errors
     /// [`TetsError::Malformed`].
@@ -94,7 +96,8 @@ impl<'a> Contents<'a> {
         {
             return Err(Section::Rounded.malformed("it is not a finite place for each vertex"));
         }
-        structure::check(cells, surfaces).map_err(|fault| Section::Cells.malformed(fault.to_string()))?;
+        structure::check(cells, surfaces)
+            .map_err(|fault| Section::Cells.malformed(fault.to_string().replace(AGAIN, "")))?;
         if self.windings.len() != cells.cell_count() {
             return Err(Section::Windings.malformed("it is not one number for each cell"));
         }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 pub enum TetsError {
     /// The file cannot be opened or mapped.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {path}: {source}; check that it is there and may be read")]
     Open {
         /// The file.
         path: PathBuf,
@@ -45,7 +45,7 @@ pub enum TetsError {
         section: &'static str,
     },
     /// The checksums match, but the contents contradict each other.
-    #[error("the {section} of the .tets file is malformed: {reason}; build it again")]
+    #[error("the .tets file is malformed, in its {section}: {reason}; build it again")]
     Malformed {
         /// The part of the file.
         section: &'static str,

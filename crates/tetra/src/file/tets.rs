@@ -16,9 +16,15 @@ pub struct Tets {
     unit: i32,
 }
 
-/// Microseconds that a beam and a box take, and a beam and a cell, on one machine
+/// Microseconds that a beam takes, and a box or a cell that it enters, on one machine
 /// (`docs/experiments/look.md`). Only their relations count.
-const COSTS: ([f64; 2], [f64; 2]) = ([7.0, 0.12], [8.0, 1.0]);
+struct Cost {
+    beam: f64,
+    step: f64,
+}
+
+const OF_BOXES: Cost = Cost { beam: 7.0, step: 0.12 };
+const OF_CELLS: Cost = Cost { beam: 8.0, step: 1.0 };
 
 enum Bytes {
     Mapped(memmap2::Mmap),
@@ -103,8 +109,8 @@ impl Tets {
         self.looker().locate(x, hint)
     }
 
-    /// Whether a point is inside of a closed solid, which blocks and whose normals point out; not on its
-    /// border. Exact.
+    /// Whether a point is inside of the union of all closed solids, which block and whose normals point out; not
+    /// on its border. Exact.
     ///
     /// # Errors
     /// [`LookError::Coordinate`] for numbers that are out of range.
@@ -164,16 +170,15 @@ impl Tets {
         mode: Mode,
         scratch: &mut Scratch,
     ) -> Result<Engine, LookError> {
-        let mut cost = |engine, beam: f64, step: f64| {
-            let seen = self.look(x, &View { engine, ..view.clone() }, mode, scratch)?;
-            Ok(beam * seen.beams as f64 + step * seen.cells as f64)
-        };
-        let boxes = cost(Engine::Boxes, COSTS.0[0], COSTS.0[1])?;
-        let cells = cost(Engine::Cells, COSTS.1[0], COSTS.1[1])?;
-        match mode {
-            Mode::Conservative(_) => Ok(Engine::Cells),
-            Mode::Exact | Mode::Aggressive(_) if cells < boxes => Ok(Engine::Cells),
-            Mode::Exact | Mode::Aggressive(_) => Ok(Engine::Boxes),
+        if matches!(mode, Mode::Conservative(_)) {
+            return Ok(Engine::Cells);
         }
+        let mut cost = |engine, of: &Cost| {
+            let view = View { engine, witnesses: false, ..view.clone() };
+            let seen = self.look(x, &view, mode, scratch)?;
+            Ok(of.beam * seen.beams as f64 + of.step * seen.cells as f64)
+        };
+        let (boxes, cells) = (cost(Engine::Boxes, &OF_BOXES)?, cost(Engine::Cells, &OF_CELLS)?);
+        Ok(if cells < boxes { Engine::Cells } else { Engine::Boxes })
     }
 }

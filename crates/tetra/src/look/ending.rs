@@ -3,7 +3,6 @@
 use crate::surfaces::{BLOCKS, SHOWS};
 
 use super::beam::{self, Place};
-use super::meeting::meeting;
 use super::planes::Facing;
 use super::scratch::Scratch;
 use super::search::Search;
@@ -33,7 +32,8 @@ impl Search<'_> {
             for t in beam.caps.iter().filter(shows) {
                 tally.see(*t);
                 if !undecided {
-                    tally.witness(*t, near, || beam::middle(planes, &beam.ring));
+                    let way = || beam::middle(planes, &beam.ring).filter(|w| self.limits.hold(*w, cap));
+                    tally.witness(*t, near, way);
                 }
             }
         }
@@ -75,8 +75,8 @@ impl Search<'_> {
         for edge in edges {
             let side = match (edge, cap) {
                 (Some((a, b)), _) => planes.add_edge(&self.eye, a, b),
-                (None, Some(cap)) => planes.add(meeting(cap, &facing)),
-                (None, None) => continue,
+                (None, Some(cap)) if !cap.has_points_of(&facing) => planes.add(cap.meet(&facing)),
+                (None, _) => continue,
             };
             match beam::place(planes, &self.eye, &rings.inside, side, &mut rings.signs) {
                 Place::Inside => {}
@@ -96,7 +96,9 @@ impl Search<'_> {
             seen = !self.limits.is_limited() || near > 0.0;
             if seen && shows {
                 tally.see(triangle);
-                tally.witness(triangle, near, || beam::middle(planes, &rings.inside));
+                let limits = &self.limits;
+                let way = || beam::middle(planes, &rings.inside).filter(|w| limits.hold(*w, Some(&facing)));
+                tally.witness(triangle, near, way);
             }
         }
         planes.list.truncate(made);

@@ -4,8 +4,7 @@
 use crate::surfaces::BLOCKS;
 
 use super::beam::{self, Edge, Place};
-use super::planes::{Facing, Kind, Plane, Planes, Side};
-use super::rounded::{Number, Rounded, U};
+use super::planes::{Facing, Planes, Side};
 use super::scratch::Scratch;
 use super::search::{Search, prune};
 use super::stack::Beam;
@@ -28,18 +27,8 @@ impl Search<'_> {
         if beam.ring.iter().any(beside) {
             return false;
         }
-        if let Some(cap) = cap {
-            let beyond = |w: &Rounded| {
-                let along = cap.normal.dot(w);
-                let apart = Number {
-                    value: along.value - cap.height.value,
-                    error: along.error + cap.height.error + U * (along.value.abs() + cap.height.value.abs()),
-                };
-                apart.sign() == Some(1)
-            };
-            if ways.iter().all(beyond) {
-                return false;
-            }
+        if cap.is_some_and(|cap| cap.hides(&ways)) {
+            return false;
         }
         let made = planes.list.len();
         let [a, b, c] = facing.points;
@@ -86,9 +75,9 @@ impl Search<'_> {
             }
         }
         let mut far = false;
-        let mut level = false;
-        if let Some(cap) = cap {
-            let side = planes.add(meeting(cap, &facing));
+        let mut level = cap.is_some_and(|cap| cap.has_points_of(&facing));
+        if let Some(cap) = cap.filter(|cap| !cap.has_points_of(&facing)) {
+            let side = planes.add(cap.meet(&facing));
             match beam::place(planes, eye, &rings.inside, side, &mut rings.signs) {
                 Place::Outside => {
                     planes.list.truncate(made);
@@ -152,7 +141,8 @@ impl Search<'_> {
             (_, Place::Outside) => {}
             (true, Place::Inside) if level => beam.caps.push(triangle),
             (true, Place::Inside) => {
-                beam.met.append(&mut beam.caps);
+                // All of an earlier cap is behind this one.
+                beam.caps.clear();
                 beam.caps.push(triangle);
                 *cap = Some(*facing);
             }
@@ -163,9 +153,12 @@ impl Search<'_> {
     /// Where a beam is on the nearer side of a face, seen from its cap, and whether both are in one plane.
     pub(super) fn against(&mut self, beam: &Beam, cap: Option<&Facing>, facing: &Facing) -> (Place, bool) {
         let Some(cap) = cap else { return (Place::Inside, false) };
+        if cap.has_points_of(facing) {
+            return (Place::Inside, true);
+        }
         let Scratch { planes, rings, .. } = &mut *self.scratch;
         let made = planes.list.len();
-        let side = planes.add(meeting(cap, facing));
+        let side = planes.add(cap.meet(facing));
         let place = beam::place(planes, &self.eye, &beam.ring, side, &mut rings.signs);
         planes.list.truncate(made);
         (place, rings.signs.iter().all(|s| *s == 0))
@@ -187,15 +180,4 @@ fn keep(mode: Mode, planes: &Planes, ring: &[Edge], limits: &Limits, seen: &mut 
             Some(beam::widths(planes, ring).1 < 2.0 * libm::sin(angle.min(std::f64::consts::PI) / 2.0))
         }
     }
-}
-
-/// The plane of the directions in which two faces are equally near.
-pub(super) fn meeting(cap: &Facing, facing: &Facing) -> Plane {
-    let mut plane = cap.meet(facing);
-    let same = |p: u32| cap.points.contains(&p);
-    if facing.points.iter().all(|p| same(*p)) {
-        // The same points: one plane, and no rounding is to hide it.
-        plane = Plane { kind: Kind::Normal([0.0; 3]), normal: Rounded::default() };
-    }
-    plane
 }

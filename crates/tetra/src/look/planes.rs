@@ -6,7 +6,7 @@
 //! decide most signs; what a corner and a plane have in common decides most zeros; integers decide the rest.
 
 use super::eye::{self, Eye, Integers};
-use super::rounded::{Number, Rounded};
+use super::rounded::{Number, Rounded, U};
 
 /// What defines a plane through the viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -220,8 +220,23 @@ impl Facing {
         }
     }
 
+    /// Whether all of some places are behind the plane for certain; `ways` lead to them.
+    pub fn hides(&self, ways: &[Rounded]) -> bool {
+        ways.iter().all(|way| {
+            let along = self.normal.dot(way);
+            let value = along.value - self.height.value;
+            let error = along.error + self.height.error + U * (along.value.abs() + self.height.value.abs());
+            Number { value, error }.sign() == Some(1)
+        })
+    }
+
+    /// Whether both have the same points, so that they are in one plane.
+    pub fn has_points_of(&self, other: &Self) -> bool {
+        other.points.iter().all(|p| self.points.contains(p))
+    }
+
     /// The plane that divides the directions in which the other face is nearer from those in which this one
-    /// is. Where both are known to be in one plane, its normal is 0.
+    /// is.
     pub fn meet(&self, other: &Self) -> Plane {
         let normal = Rounded::combination(self.height, &other.normal, other.height, &self.normal);
         Plane { kind: Kind::Meet(self.points, other.points), normal: normal.scaled() }

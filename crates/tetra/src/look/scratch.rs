@@ -84,6 +84,8 @@ pub(super) struct Tally {
     areas: Vec<f64>,
     /// The largest part so far, and its middle.
     best: Vec<(f64, Option<[f64; 3]>)>,
+    /// Whether this query wants witnesses.
+    wanted: bool,
     seen: Vec<u32>,
 }
 
@@ -99,6 +101,7 @@ impl Tally {
         if witnesses && self.best.is_empty() {
             self.best = vec![(0.0, None); triangles];
         }
+        self.wanted = witnesses;
         self.query += 1;
         self.seen.clear();
     }
@@ -123,7 +126,7 @@ impl Tally {
 
     /// Keeps a witness if its part is the largest so far. The direction is computed only then.
     pub fn witness(&mut self, triangle: u32, area: f64, way: impl FnOnce() -> Option<[f64; 3]>) {
-        let Some(best) = self.best.get_mut(triangle as usize) else { return };
+        let Some(best) = self.best.get_mut(triangle as usize).filter(|_| self.wanted) else { return };
         if area > best.0 || best.1.is_none() {
             let way = way();
             if way.is_some() {

@@ -1,15 +1,16 @@
 //! The cells between the surfaces as a beam goes through them: where it starts, and which faces it leaves by.
 //!
 //! Faces between cells cut nothing: a beam goes on to every cell whose face it may overlap. Seen from any
-//! point the cells have a front-to-back order, so a beam that takes the nearest cell first enters few of them
-//! twice. Entering one twice, or one that it misses, costs time and changes nothing.
+//! point the cells have a front-to-back order, and a beam takes the nearest cell first. Entering one that it
+//! misses costs time and changes nothing. What a beam found in a cell waits in its parts, so none enters the
+//! cell again.
 
 use crate::cells::{CellsView, NONE};
 
 use super::beam::Edge;
 use super::eye::{self, Eye, Integers};
 use super::planes::{Facing, Planes};
-use super::rounded::{Number, Rounded, U};
+use super::rounded::{Rounded, U};
 use super::stack::Entry;
 
 /// In place of a number of triangles: a cell to enter by the face that is listed.
@@ -233,15 +234,7 @@ impl<'a> Space<'a> {
         if ring.iter().any(outside) {
             return None;
         }
-        let beyond = |cap: &Facing| {
-            ways.iter().all(|way| {
-                let along = cap.normal.dot(way);
-                let value = along.value - cap.height.value;
-                let error = along.error + cap.height.error + U * (along.value.abs() + cap.height.value.abs());
-                Number { value, error }.sign() == Some(1)
-            })
-        };
-        if cap.is_some_and(beyond) {
+        if cap.is_some_and(|cap| cap.hides(ways)) {
             return None;
         }
         let mut middle = [0.0; 3];

@@ -9,12 +9,13 @@ use super::beam::{Edge, Ring};
 /// A box or a cell to go through, or triangles to meet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Entry {
-    /// For cells: their place in the order. For boxes: the square of a distance, and no box that waits below
-    /// in the list is nearer.
+    /// For boxes: the square of a distance, and no box that waits below in the list is nearer. For cells: the
+    /// square of the distance to the middle of the face before it, and −1 for a triangle, which comes first.
     pub key: f64,
-    /// A box, or the place of the first triangle.
+    /// What it is, by `count`: a box, or a cell that beams start in (0); a face as cells list them, to go
+    /// through ([`super::space::THROUGH_FACE`]); a triangle, or the place of the first in the boxes' order.
     pub first: u32,
-    /// Number of triangles; 0 for a box.
+    /// Number of triangles, or one of the two values above.
     pub count: u32,
 }
 

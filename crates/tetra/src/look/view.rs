@@ -56,7 +56,7 @@ pub struct Seen {
     pub areas: Vec<f64>,
     /// For each a direction of largest magnitude in [1, 2) in which nothing is met before it: a blocking
     /// triangle or, for a see-through one, any blocking triangle. Nothing where the triangle holds the point,
-    /// or where no double is certainly in its part.
+    /// where no double is certainly in its part, or where the middle of its part is out of the view.
     pub witnesses: Vec<Option<[f64; 3]>>,
     /// Solid angle in which nothing is met.
     pub sky: f64,
@@ -65,7 +65,7 @@ pub struct Seen {
     /// Solid angle that was not decided: dropped beams, and in the conservative mode beams that nothing
     /// covers whole.
     pub dropped: f64,
-    /// Cells, or boxes, that were entered, once for each beam.
+    /// Cells that were entered, once for a beam and all its parts, or boxes.
     pub cells: u64,
     /// Beams that were ended.
     pub beams: u64,

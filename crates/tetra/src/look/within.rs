@@ -100,6 +100,18 @@ impl Limits {
         }
     }
 
+    /// Whether a direction is within the cone, and a face that it meets nearer than the distance.
+    pub fn hold(&self, way: [f64; 3], face: Option<&Facing>) -> bool {
+        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let way = unit(way);
+        let in_cone = self.cone.is_none_or(|c| (dot(way, c.axis) > c.cosine) != self.complement);
+        let is_near = match (self.distance, face) {
+            (Some(distance), Some(face)) => face.height.value < distance * dot(face.normal.v, way),
+            _ => true,
+        };
+        in_cone && is_near
+    }
+
     /// Whether anything limits the view.
     pub fn is_limited(&self) -> bool {
         self.cone.is_some() || self.distance.is_some()
