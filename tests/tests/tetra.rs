@@ -111,8 +111,9 @@ fn both_engines_see_the_same_and_parts_add_up() {
         assert!(less.iter().all(|id| exact.contains(id)) && exact.iter().all(|id| more.contains(id)));
     }
     assert!(less.iter().any(|a| a["dropped"].as_f64().unwrap() > 0.0));
-    // Under its other name, and as one line after the other.
-    sandbox.ok("look town.tets --eyes points.jsonl --threads 2");
+    // Under its other name, and with several threads.
+    let other = answers(&sandbox.ok("look town.tets --eyes points.jsonl --threads 2"));
+    assert_eq!(ids(&other), ids(&exact));
 }
 
 #[test]
@@ -120,8 +121,9 @@ fn bad_points_angles_and_files_are_refused() {
     let sandbox = sandbox();
     sandbox.write("good.jsonl", "{\"point\":[1,2,3]}\n");
     let bad = |line: &str, why: &str| {
-        sandbox.write("bad.jsonl", format!("{{\"point\":[1,2,3]}}\n{line}\n"));
-        sandbox.run("look town.tets --points bad.jsonl").code(3).says("line 2").says(why);
+        // Lines of spaces are left out and count.
+        sandbox.write("bad.jsonl", format!("{{\"point\":[1,2,3]}}\n \n{line}\n\n"));
+        sandbox.run("look town.tets --points bad.jsonl").code(3).says("line 3").says(why);
     };
     bad(r#"{"point":[NaN,0,0]}"#, "no query");
     bad(r#"{"point":[1e39,0,0]}"#, "not a finite number below");

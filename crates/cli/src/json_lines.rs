@@ -21,6 +21,8 @@ pub struct JsonLines {
     reader: BufReader<Box<dyn Read>>,
     /// Lines read so far.
     pub lines: u64,
+    /// The numbers of the lines that the last queries are from; lines of spaces are left out.
+    pub numbers: Vec<u64>,
     /// What a line looks like, for messages.
     example: &'static str,
 }
@@ -41,7 +43,13 @@ impl JsonLines {
             Box::new(std::fs::File::open(path).map_err(unreadable)?)
         };
         let name = if is_stdin { "stdin".to_owned() } else { path.display().to_string() };
-        Ok(Self { name, reader: BufReader::with_capacity(BUFFER, source), lines: 0, example })
+        Ok(Self {
+            name,
+            reader: BufReader::with_capacity(BUFFER, source),
+            lines: 0,
+            numbers: Vec::new(),
+            example,
+        })
     }
 
     /// The next queries, and the error of the line after them if it is bad. Reads at least one query, and
@@ -52,9 +60,13 @@ impl JsonLines {
         check: impl Fn(L) -> Result<Q, String>,
     ) -> (Vec<Q>, Option<CliError>) {
         let mut queries = Vec::new();
+        self.numbers.clear();
         while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {
             match self.next(&check) {
-                Ok(Some(query)) => queries.push(query),
+                Ok(Some(query)) => {
+                    queries.push(query);
+                    self.numbers.push(self.lines);
+                }
                 Ok(None) => break,
                 Err(e) => return (queries, Some(e)),
             }

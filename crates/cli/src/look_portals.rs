@@ -66,8 +66,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let ended = 'all: loop {
         let (lines, failure) = input.read(check);
         let last = lines.is_empty();
-        let first = input.lines - lines.len() as u64 - u64::from(failure.is_some());
-        for (number, (line, shut)) in (first + 1..).zip(lines) {
+        for (number, (line, shut)) in input.numbers.iter().zip(lines) {
             (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
             let view = View { eye: line.eye, direction: line.dir, up: line.up, fov: line.fov };
             let start = Instant::now();

@@ -95,7 +95,6 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
             engine = tets.faster(*point, view, mode, &mut Scratch::default()).ok();
         }
         queries.iter_mut().for_each(|query| query.view.engine = engine.unwrap_or_default());
-        let first = input.lines - queries.len() as u64 - u64::from(failure.is_some());
         let answers: Vec<Result<Answer, LookError>> = queries
             .into_par_iter()
             .map(|query| {
@@ -106,7 +105,7 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
                 answer
             })
             .collect();
-        for (number, answer) in (first + 1..).zip(answers) {
+        for (number, answer) in input.numbers.iter().zip(answers) {
             let answer = match answer {
                 Ok(answer) => answer,
                 Err(e) => break 'all Err(CliError::Input(format!("{}, line {number}: {e}", input.name))),

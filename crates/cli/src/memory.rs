@@ -1,18 +1,37 @@
 //! How much memory there is for more.
 
+use std::path::{Path, PathBuf};
+
 /// Bytes that this process can still take before the system has none, from Linux's /proc and the process's
-/// control group; `None` where the system does not tell.
+/// control groups; `None` where the system does not tell.
 pub fn available() -> Option<u64> {
-    let number = |text: &str| text.trim().parse::<u64>().ok();
-    let meminfo = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = meminfo.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
-    let free = number(line.trim().trim_end_matches("kB"))?.checked_mul(1024)?;
-    let of_group = |file: &str| number(&std::fs::read_to_string(format!("/sys/fs/cgroup/{file}")).ok()?);
-    // A group without a limit says "max".
-    match (of_group("memory.max"), of_group("memory.current")) {
-        (Some(most), Some(used)) => Some(free.min(most.saturating_sub(used))),
-        _ => Some(free),
-    }
+    let free = line("/proc/meminfo", "MemAvailable:")?.checked_mul(1024)?;
+    let own = std::fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
+    let own = own.lines().find_map(|l| l.strip_prefix("0::")).unwrap_or_default();
+    let own = PathBuf::from("/sys/fs/cgroup").join(own.trim_start_matches('/'));
+    let groups = own.ancestors().take_while(|g| g.starts_with("/sys/fs/cgroup"));
+    Some(groups.filter_map(left_in).fold(free, u64::min))
+}
+
+/// Bytes that a control group may still take; `None` where it has no limit, and then says "max".
+fn left_in(group: &Path) -> Option<u64> {
+    let number = |file: &str| std::fs::read_to_string(group.join(file)).ok()?.trim().parse::<u64>().ok();
+    let (most, used) = (number("memory.max")?, number("memory.current")?);
+    // Pages of files that nobody has used lately are given back first.
+    let files = line(group.join("memory.stat"), "inactive_file").unwrap_or(0);
+    Some(most.saturating_sub(used.saturating_sub(files)))
+}
+
+/// Bytes of memory that this process has now; `None` where the system does not tell.
+pub fn resident() -> Option<u64> {
+    line("/proc/self/status", "VmRSS:")?.checked_mul(1024)
+}
+
+/// The first number of a line that begins with a word.
+fn line(file: impl AsRef<Path>, word: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let rest = text.lines().find_map(|l| l.strip_prefix(word))?;
+    rest.split_whitespace().next()?.parse().ok()
 }
 
 /// Bytes in words.

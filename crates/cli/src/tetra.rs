@@ -8,7 +8,7 @@ use sightline_scene::Scene;
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::surfaces::Surfaces;
-use sightline_tetra::{BuildError, Stage, Watch, build};
+use sightline_tetra::{BuildError, Stage, TetsError, Watch, build};
 
 use crate::bake::peak_memory;
 use crate::error::CliError;
@@ -62,10 +62,10 @@ impl Watch for Follower {
     }
 
     fn needs(&self, bytes: u64) -> Result<(), String> {
-        let taken = peak_memory().unwrap_or_default().saturating_sub(self.taken_before);
+        let taken = memory::resident().unwrap_or_default().saturating_sub(self.taken_before);
         match memory::available() {
             Some(free) if bytes.saturating_sub(taken) > free => Err(format!(
-                "the cells will take about {} of memory, and {} are free; end other programs, divide the \
+                "the cells will take {} of memory or more, and {} are free; end other programs, divide the \
                  scene, or use a machine with more",
                 memory::in_words(bytes),
                 memory::in_words(free)
@@ -81,7 +81,8 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     let mesh = args.export.as_ref().map(|path| Output::check(path, Format::Vtu, Some(&args.scene)));
     let mesh = mesh.transpose()?;
     let scene = scene(args)?;
-    let follower = Follower { progress: Progress::new(), taken_before: peak_memory().unwrap_or_default() };
+    let follower =
+        Follower { progress: Progress::new(), taken_before: memory::resident().unwrap_or_default() };
     let built = build(&scene, &follower);
     follower.progress.end();
     let built = built.map_err(|e| match e {
@@ -91,7 +92,12 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
         e => CliError::Input(format!("{}: {e}", args.scene.display())),
     })?;
     drop(scene);
-    file.write(|out| write(out, &built.contents()).map_err(CliError::internal))?;
+    file.write(|out| {
+        write(out, &built.contents()).map_err(|e| match e {
+            TetsError::Write(e) => CliError::writing(output, &e),
+            e => CliError::internal(e),
+        })
+    })?;
     let exported = mesh.map(|mesh| export(&built.contents(), &mesh)).transpose()?;
     let bytes = std::fs::metadata(output).map_err(|e| CliError::writing(output, &e))?.len();
     let contents = built.contents();
@@ -116,11 +122,11 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     print(&format!(
         "{} with {}: {} Delaunay tetrahedra, {} of which triangles cut into {} with {}",
         plural(triangles, "triangle"),
-        plural(vertices, "vertex").replace("vertexs", "vertices"),
+        plural(vertices, "point"),
         built.tetrahedra,
         built.counts.cut,
         plural(cells, "cell"),
-        plural(added, "more vertex").replace("vertexs", "vertices"),
+        plural(added, "added point"),
     ))?;
     if let (Some(exported), Some(path)) = (exported, &args.export) {
         print(&format!("wrote {}: {exported} tetrahedra", path.display()))?;
@@ -136,23 +142,27 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
 
 fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
-    let tets = open(path)?;
-    let scene = scene(args)?;
-    let contents = tets.contents();
     let refused = |why: String| {
         if json {
             print(&json!({"accepted": false, "reason": why}).to_string())?;
         }
-        Err(CliError::Input(format!("{}: {why}", path.display())))
+        Err(CliError::Input(why))
     };
+    let of_file = |why: String| format!("{}: {why}", path.display());
+    let tets = match open(path) {
+        Ok(tets) => tets,
+        Err(e) => return refused(e.to_string()),
+    };
+    let scene = scene(args)?;
+    let contents = tets.contents();
     if let Err(e) = contents.expect_scene(&scene.digest().0) {
-        return refused(e.to_string());
+        return refused(of_file(e.to_string()));
     }
     if Surfaces::new(&scene)?.view() != contents.surfaces {
-        return refused("its triangles are not those of the scene; build it again".to_owned());
+        return refused(of_file("its triangles are not those of the scene; build it again".to_owned()));
     }
     if let Err(fault) = check(&contents) {
-        return refused(fault.to_string());
+        return refused(of_file(fault.to_string()));
     }
     let (cells, triangles) = (contents.cells.cell_count(), contents.surfaces.triangles.len());
     say(&format!("checked in {}", human(start.elapsed())));

@@ -82,12 +82,16 @@ fn cavities_and_rooms_are_not_inside_and_open_boxes_hold_nothing() {
     let mut with_pane = closed.clone();
     with_pane.push([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, -1.0, 2.0]]);
     assert!(!inside(&tets(&with_pane), [2.0; 3]) && inside(&tets_with(&with_pane, &[12]), [2.0; 3]));
-    // Two solids that share a side: the side is inside of neither alone, and the tests agree on both sides.
+    // Two solids that overlap, and two that touch: a point is inside of their union or not.
     let mut two = cube([0.0; 3], [1.0; 3], true);
     two.extend(cube([0.25, 0.25, 0.25], [2.0; 3], true));
     let two = tets(&two);
     assert!(inside(&two, [0.5; 3]) && inside(&two, [0.1; 3]) && inside(&two, [1.5; 3]));
     assert!(inside(&two, [1.0, 0.5, 0.5]) && !inside(&two, [1.5, 0.1, 0.1]));
+    let mut touching = cube([0.0; 3], [1.0; 3], true);
+    touching.extend(cube([1.0, 0.25, 0.25], [2.0, 0.75, 0.75], true));
+    let touching = tets(&touching);
+    assert!(inside(&touching, [1.0, 0.5, 0.5]) && !inside(&touching, [1.0, 0.1, 0.5]));
 }
 
 proptest! {

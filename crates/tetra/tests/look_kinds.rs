@@ -170,7 +170,9 @@ proptest! {
 
     #[test]
     fn scattered_kinds_are_seen_alike(
-        all in prop::collection::vec((prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)), kind()), 1..20),
+        all in prop::collection::vec(
+            (prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)), kind()), 1..20,
+        ),
         x in prop::array::uniform3(-5.0..5.0f64),
         (direction, angle, distance) in limits(),
     ) {

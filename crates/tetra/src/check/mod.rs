@@ -1,11 +1,11 @@
 //! Whether cells are what they say, by other code than made them, with integers alone.
 //!
-//! What is checked with exact signs: each vertex is near its place in doubles; each face lies in its plane, is convex and turns counter-clockwise; all
-//! vertices of a cell are on its side of each of its faces, some off it; each face is listed once in front of
-//! one cell and once behind another, but for those on the box; each face that names a triangle lies in it;
-//! from cell to cell the number of solids changes by those that begin or end between them.
-//! What is checked modulo two primes: the edges of a cell's faces cancel on each line; volumes add up to the
-//! box's, and the areas of a triangle's faces to the triangle's.
+//! What is checked with exact signs: each vertex is near its place in doubles; each face lies in its plane,
+//! is convex and turns counter-clockwise; all vertices of a cell are on its side of each of its faces, some
+//! off it; each face is listed once in front of one cell and once behind another, but for those on the box;
+//! each face that names a triangle lies in it; from cell to cell the number of solids changes by those that
+//! begin or end between them. What is checked modulo two primes: the edges of a cell's faces cancel on each
+//! line; volumes add up to the box's, and the areas of a triangle's faces to the triangle's.
 //!
 //! What follows. The faces of a cell are a closed surface in the border of the convex body K that their
 //! planes bound, so they go k times around K, and k ≥ 1 by their turn. Summed over all cells, inner faces
@@ -106,8 +106,8 @@ struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    /// The place of a vertex in doubles is as near to it as it is said to be: 2⁻⁴⁴ of the power of two above the
-    /// box's greatest side and one unit in the last place, in each coordinate.
+    /// The place of a vertex in doubles is as near to it as it is said to be: 2⁻⁴⁴ of the power of two above
+    /// the box's greatest side and one unit in the last place, in each coordinate.
     fn place(&self, meet: usize, known: &mut Known<'_>) -> Result<(), Fault> {
         let vertex = (self.cells.points.len() + meet) as u32;
         let exact = known.vertex(vertex)?;

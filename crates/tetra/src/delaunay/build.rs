@@ -80,6 +80,8 @@ impl Delaunay {
             for (done, number) in (0..).zip(order) {
                 if done % TELL_EVERY == 0 {
                     watch.done(Stage::Points, done, points.len() as u64);
+                    // Points on few curves have far more tetrahedra than others.
+                    watch.needs(mesh.bytes()).map_err(DelaunayError::Memory)?;
                 }
                 mesh.insert(number).map_err(|refusal| refusal.of(number, points[number as usize]))?;
             }

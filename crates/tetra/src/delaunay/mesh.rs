@@ -73,6 +73,11 @@ impl<'a> Mesh<'a> {
         Self { predicates, cells, marks, free, inserted: 0, last: 0, conflicts, border }
     }
 
+    /// About the memory that the cells take once they are in order.
+    pub(super) fn bytes(&self) -> u64 {
+        self.cells.len() as u64 * 110
+    }
+
     /// The cells, each with its number; the numbers have gaps.
     pub(super) fn into_cells(self) -> (Vec<Cell>, Vec<bool>) {
         let alive = self.marks.iter().map(|mark| *mark != FREE).collect();

@@ -109,8 +109,8 @@ impl Tets {
         self.looker().locate(x, hint)
     }
 
-    /// Whether a point is inside of the union of all closed solids, which block and whose normals point out; not
-    /// on its border. Exact.
+    /// Whether a point is inside of the union of all closed solids, which block and whose normals point out;
+    /// not on its border. Exact.
     ///
     /// # Errors
     /// [`LookError::Coordinate`] for numbers that are out of range.

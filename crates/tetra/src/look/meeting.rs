@@ -1,5 +1,5 @@
-//! What happens where a beam meets a triangle: it is divided along the triangle's edges, and along the line where
-//! the triangle comes in front of the cap.
+//! What happens where a beam meets a triangle: it is divided along the triangle's edges, and along the line
+//! where the triangle comes in front of the cap.
 
 use crate::surfaces::BLOCKS;
 
