@@ -185,24 +185,25 @@ impl Answering<'_> {
         let seen = self.tets.look(point, &view, self.mode, scratch)?;
         let nanos = start.elapsed().as_nanos() as u64;
         let Seen { visible, areas, witnesses, sky, unseen, dropped, cells, beams, .. } = seen;
-        let mut line = json!({
-            "id": id, "visible": visible, "sky": sky, "dropped": dropped, "inside": inside, "cells": cells,
-            "beams": beams, "micros": nanos as f64 / 1e3,
-        });
+        let mut line = json!({"id": id, "visible": visible});
         if self.args.areas {
             line["areas"] = json!(areas);
         }
         if self.args.witnesses {
             line["witnesses"] = json!(witnesses);
         }
+        (line["sky"], line["dropped"]) = (json!(sky), json!(dropped));
         if self.has_unseen {
             line["unseen"] = json!(unseen);
         }
+        line["inside"] = inside.into();
         if !targets.is_empty() {
             let share =
                 |((id, _), fraction): (&(Value, Target), &f64)| json!({"id": id, "fraction": fraction});
             line["targets"] = targets.iter().zip(&fractions).map(share).collect();
         }
+        (line["cells"], line["beams"], line["micros"]) =
+            (json!(cells), json!(beams), json!(nanos as f64 / 1e3));
         Ok(Answer { line, nanos, visible: visible.len() })
     }
 }

@@ -151,6 +151,15 @@ impl Output {
         Ok(output)
     }
 
+    /// Whether both are one file.
+    pub fn is(&self, other: &Self) -> bool {
+        let place = |output: &Self| {
+            let folder = std::fs::canonicalize(folder(&output.target)).unwrap_or_default();
+            (folder, output.target.file_name().map(std::ffi::OsStr::to_owned))
+        };
+        place(self) == place(other)
+    }
+
     /// The path as the user gave it.
     pub fn path(&self) -> &Path {
         &self.named

@@ -80,6 +80,12 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     let file = Output::check(output, Format::Tets, Some(&args.scene))?;
     let mesh = args.export.as_ref().map(|path| Output::check(path, Format::Vtu, Some(&args.scene)));
     let mesh = mesh.transpose()?;
+    if mesh.as_ref().is_some_and(|mesh| mesh.is(&file)) {
+        return Err(CliError::Usage(format!(
+            "-o and --export both name {}; give each a file of its own",
+            output.display()
+        )));
+    }
     let scene = scene(args)?;
     let follower =
         Follower { progress: Progress::new(), taken_before: memory::resident().unwrap_or_default() };

@@ -19,7 +19,7 @@ pub struct Surfaces {
     pub flags: Vec<u8>,
 }
 
-/// Whether each triangle belongs to a closed surface of triangles that block. The others are left out before:
+/// Whether each triangle belongs to the surface of a closed solid of triangles that block. The others are left out before:
 /// a surface that a see-through triangle completes is open.
 fn closed(scene: &Scene) -> Result<Vec<bool>, SceneError> {
     let mut closed = vec![false; scene.triangles().len()];
@@ -31,7 +31,7 @@ fn closed(scene: &Scene) -> Result<Vec<bool>, SceneError> {
     }
     let solids = Solids::of(&Scene::new("", triangles, vec![object])?)?;
     for (k, id) in (0..).zip(blocking) {
-        closed[id as usize] = solids.outward(k).is_some();
+        closed[id as usize] = solids.outward(k) == Some(1.0);
     }
     Ok(closed)
 }
@@ -53,8 +53,8 @@ pub const FLAT: u8 = 1;
 pub const BLOCKS: u8 = 2;
 /// The triangle can be seen.
 pub const SHOWS: u8 = 4;
-/// The triangle belongs to a closed surface of triangles that block ([`Solids`]). Where the normals of such a
-/// surface point out it bounds a solid, and where they point in it bounds a cavity.
+/// The triangle belongs to the surface of a closed solid: a closed surface of triangles that block, with normals
+/// that point out ([`Solids`]). The cavity of a solid counts as its inside.
 pub const CLOSED: u8 = 8;
 
 impl Surfaces {

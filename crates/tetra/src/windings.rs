@@ -1,16 +1,15 @@
 //! How many closed solids hold each cell.
 //!
 //! Solids end at triangles, triangles are unions of faces, and outside of the box there are none; so the
-//! number follows from cell to cell, exactly: passing a triangle of a closed surface against its normal adds
-//! 1, and passing it along its normal takes 1 away. In a cavity of a solid it is 0 again.
+//! number follows from cell to cell, exactly: passing a triangle of a solid's surface against its normal adds 1,
+//! and passing it along its normal takes 1 away.
 
 use std::cmp::Ordering;
 
 use crate::cells::{CellsView, NONE};
 use crate::surfaces::{CLOSED, SurfacesView};
 
-/// The number of closed solids around each cell, less that of the cavities around it: -1 in a room whose
-/// walls have no backs.
+/// The number of closed solids around each cell.
 pub fn windings(surfaces: SurfacesView<'_>, cells: CellsView<'_>) -> Vec<i32> {
     let mut all = vec![0i32; cells.cell_count()];
     let mut known = vec![false; all.len()];

@@ -29,12 +29,14 @@ pub enum LookError {
     #[error("the direction has no length; give the axis of the view")]
     NoDirection,
     /// An angle that is not in its range.
-    #[error("{what} is {degrees} degrees; give one above 0 and up to {most}")]
+    #[error("{what} is {degrees} degrees; give one above 0, from {least} up to {most}")]
     Angle {
         /// Which angle.
         what: &'static str,
         /// The angle.
         degrees: f64,
+        /// The least one that is allowed: circles of narrower cones are lost in rounding.
+        least: f64,
         /// The largest one that is allowed.
         most: f64,
     },
@@ -300,7 +302,7 @@ fn check_limits(view: &View) -> Result<(), LookError> {
         if direction == [0.0; 3] {
             return Err(LookError::NoDirection);
         }
-        check_angle("the view's angle", view.angle, 360.0)?;
+        check_angle("the view's angle", view.angle, 1e-4, 360.0)?;
     }
     match view.distance {
         Some(distance) if distance.is_nan() || distance <= 0.0 => Err(LookError::Distance(distance)),
@@ -311,13 +313,16 @@ fn check_limits(view: &View) -> Result<(), LookError> {
 fn check_mode(mode: Mode) -> Result<(), LookError> {
     match mode {
         Mode::Exact => Ok(()),
-        Mode::Aggressive(angle) | Mode::Conservative(angle) => check_angle("the mode's angle", angle, 180.0),
+        Mode::Aggressive(angle) | Mode::Conservative(angle) => {
+            check_angle("the mode's angle", angle, 0.0, 180.0)
+        }
     }
 }
 
-fn check_angle(what: &'static str, angle: f64, most: f64) -> Result<(), LookError> {
-    match angle > 0.0 && angle <= most.to_radians() {
+/// In radians, above 0, and from `least` up to `most` degrees.
+fn check_angle(what: &'static str, angle: f64, least: f64, most: f64) -> Result<(), LookError> {
+    match angle > 0.0 && angle >= least.to_radians() && angle <= most.to_radians() {
         true => Ok(()),
-        false => Err(LookError::Angle { what, degrees: angle.to_degrees(), most }),
+        false => Err(LookError::Angle { what, degrees: angle.to_degrees(), least, most }),
     }
 }

@@ -92,10 +92,15 @@ impl Limits {
             (Some(cone), other) => {
                 let mut both = vec![cone];
                 both.extend(other);
-                match self.complement {
-                    true => (of(others) - of(&both)).max(0.0),
-                    false => of(&both),
+                if !self.complement {
+                    return of(&both);
                 }
+                // All of the beam in what is left out: a difference of rounded areas would not be 0.
+                let inside = |e: &Edge| {
+                    let way = unit(e.corner.way.v);
+                    way[0] * cone.axis[0] + way[1] * cone.axis[1] + way[2] * cone.axis[2] > cone.cosine
+                };
+                if ring.iter().all(inside) { 0.0 } else { (of(others) - of(&both)).max(0.0) }
             }
         }
     }
