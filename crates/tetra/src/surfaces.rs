@@ -19,8 +19,8 @@ pub struct Surfaces {
     pub flags: Vec<u8>,
 }
 
-/// Whether each triangle belongs to the surface of a closed solid of triangles that block. The others are left out before:
-/// a surface that a see-through triangle completes is open.
+/// Whether each triangle belongs to the surface of a closed solid of triangles that block. The others are
+/// left out before: a surface that a see-through triangle completes is open.
 fn closed(scene: &Scene) -> Result<Vec<bool>, SceneError> {
     let mut closed = vec![false; scene.triangles().len()];
     let blocking: Vec<u32> = (0..scene.len()).filter(|id| scene.blocks(*id)).collect();
@@ -53,8 +53,8 @@ pub const FLAT: u8 = 1;
 pub const BLOCKS: u8 = 2;
 /// The triangle can be seen.
 pub const SHOWS: u8 = 4;
-/// The triangle belongs to the surface of a closed solid: a closed surface of triangles that block, with normals
-/// that point out ([`Solids`]). The cavity of a solid counts as its inside.
+/// The triangle belongs to the surface of a closed solid: a closed surface of triangles that block, with
+/// normals that point out ([`Solids`]). The cavity of a solid counts as its inside.
 pub const CLOSED: u8 = 8;
 
 impl Surfaces {

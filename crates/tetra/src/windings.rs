@@ -1,8 +1,8 @@
 //! How many closed solids hold each cell.
 //!
 //! Solids end at triangles, triangles are unions of faces, and outside of the box there are none; so the
-//! number follows from cell to cell, exactly: passing a triangle of a solid's surface against its normal adds 1,
-//! and passing it along its normal takes 1 away.
+//! number follows from cell to cell, exactly: passing a triangle of a solid's surface against its normal adds
+//! 1, and passing it along its normal takes 1 away.
 
 use std::cmp::Ordering;
 
