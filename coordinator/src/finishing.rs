@@ -30,7 +30,7 @@ fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
 }
 
 /// Assembles a job's result and ends the job.
-pub(crate) fn finish(c: &Arc<Coordinator>, id: JobId) -> Vec<Chore> {
+pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     // Absent when it was cancelled in the meantime.
     let Some(parts) = parts(c, id) else { return Vec::new() };
     let begun = Begun::now();
@@ -107,11 +107,12 @@ pub(crate) fn finish(c: &Arc<Coordinator>, id: JobId) -> Vec<Chore> {
 
 /// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
 /// the job waits until somebody sends them.
-fn do_without(c: &Arc<Coordinator>, id: JobId, parts: &Parts, e: &AssembleError) -> Vec<Chore> {
+fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> Vec<Chore> {
     if let Some(chores) = compute_again(c, id, &parts.outputs, e) {
         return chores;
     }
     let spec = &parts.work.spec;
+    let mut chores = Vec::new();
     let receivers = spec.ambient.as_ref().map(|ambient| Lacks::Receivers(ambient.receivers));
     for lacks in [Some(Lacks::Scene(spec.scene)), receivers].into_iter().flatten() {
         if !c.blobs.open_checked(&lacks.digest()).is_err_and(|e| e.is_lost()) {
@@ -119,15 +120,21 @@ fn do_without(c: &Arc<Coordinator>, id: JobId, parts: &Parts, e: &AssembleError)
         }
         // Workers that have it do not ask for it, so this may be the first to find it lost.
         match lost::lost(c, lacks, &e.to_string()) {
-            // Assembled once it goes on, which it may do already.
-            Ok(waiting) if waiting.contains(&id) => return tell(c, Event::AssemblyDropped(id)),
-            Ok(_) => {}
+            Ok((waiting, more)) => {
+                chores.extend(more);
+                if waiting.contains(&id) {
+                    // Assembled once it goes on, which it may do already.
+                    chores.extend(tell(c, Event::AssemblyDropped(id)));
+                    return chores;
+                }
+            }
             Err(e) => tracing::error!("job {id} cannot be paused yet: {e}"),
         }
     }
     // It is there again, or the job could not be paused, or the disk cannot read it every time.
     tracing::error!("the result of job {id} waits and is tried again: {e}");
-    tell(c, Event::AssemblyWaits(id))
+    chores.extend(tell(c, Event::AssemblyWaits(id)));
+    chores
 }
 
 /// Opens the tiles again whose stored outputs are lost; `None` when none are.

@@ -13,6 +13,7 @@ use crate::scheduling::tell;
 use crate::specs;
 use crate::state::{Coordinator, Lacks};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileRecord, TileState};
+use crate::turning::turned;
 
 /// A job that cannot be changed or fetched.
 #[derive(Debug, thiserror::Error)]
@@ -275,11 +276,6 @@ pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErr
     turn(c, job, &[JobPhase::Paused], JobState::Queued)
 }
 
-/// Pauses a job that works, for a reason of the coordinator's own.
-pub(crate) fn park(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobError> {
-    turn(c, job, &[JobPhase::Queued, JobPhase::Running], JobState::Paused)
-}
-
 /// What a person does with a job counts more than that it waits for its scene or its receivers.
 fn waits_no_more(c: &Coordinator, job: JobId) {
     c.lost.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
@@ -300,13 +296,7 @@ pub(crate) fn prioritize(c: &Arc<Coordinator>, id: JobId, priority: i32) -> Resu
 
 /// Moves a job to another state.
 fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Result<Summary, JobError> {
-    let chores = {
-        let _turn = c.turn();
-        let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
-        tracing::info!("job {id} is {}", record.state.phase());
-        c.happened(Happening::of_job(Kind::Job, id, format!("the job is {}", record.state.phase())));
-        tell(c, Event::JobChanged(Box::new(record)))
-    };
+    let chores = turned(c, id, from, to)?;
     do_chores(c, chores);
     Ok(summary(c, id)?)
 }

@@ -35,6 +35,7 @@ mod deleting;
 mod direct;
 mod estimate;
 mod finishing;
+mod found;
 mod having;
 mod housekeeping;
 pub mod ids;
@@ -70,6 +71,7 @@ mod statistics;
 pub mod store;
 mod submit;
 mod tiles;
+mod turning;
 mod uploads;
 
 #[cfg(test)]

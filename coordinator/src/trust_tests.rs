@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crate::chores::do_chores;
 use crate::clock::ManualClock;
+use crate::found;
 use crate::housekeeping::tidy_up;
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::invalidating::{self, Which};
@@ -14,7 +15,6 @@ use crate::keeping;
 use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::limits::Quotas;
-use crate::lost;
 use crate::readiness::readiness;
 use crate::releasing;
 use crate::scenes;
@@ -198,7 +198,7 @@ fn a_scene_that_is_lost_before_the_end_is_waited_for() {
         wait_until("the pause again", || summary().lacks.is_some());
         wait_until("the pause again", || summary().record.state == JobState::Paused);
         c.take_scene(&self::scene()).unwrap();
-        lost::back(&c, Lacks::Scene(scene));
+        found::back(&c, Lacks::Scene(scene));
         wait_until("the end", || jobs::result(&c, id).is_ok());
         assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
         assert_eq!(summary().lacks, None);

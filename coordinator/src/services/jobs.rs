@@ -21,9 +21,9 @@ use super::{status, wire};
 use crate::access::Caller;
 use crate::deleting;
 use crate::estimate;
+use crate::found;
 use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary, Wanted};
-use crate::lost;
 use crate::partial;
 use crate::receivers;
 use crate::scene_files;
@@ -100,7 +100,7 @@ impl v1::jobs_server::Jobs for JobsService {
         blocking(&self.0, move |c| {
             let record =
                 scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
-            lost::back(c, Lacks::Scene(whole));
+            found::back(c, Lacks::Scene(whole));
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -117,7 +117,7 @@ impl v1::jobs_server::Jobs for JobsService {
         blocking(&self.0, move |c| {
             let stored = receivers::put(c, caller.owner(), whole, &parts);
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
-            lost::back(c, Lacks::Receivers(whole));
+            found::back(c, Lacks::Receivers(whole));
             let (points, lights) = (facts.points, facts.lights);
             Ok(Response::new(v1::ReceiversInfo { digest: whole.to_vec(), points, lights }))
         })
@@ -296,7 +296,7 @@ pub(super) async fn take_file(
     blocking_one_of(c, &c.files, move |c| {
         let taken = scene_files::take(c, caller.owner(), &header.name, &bytes, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
-        lost::back(c, Lacks::Scene(record.digest));
+        found::back(c, Lacks::Scene(record.digest));
         Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
     })
     .await

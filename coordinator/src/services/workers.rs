@@ -206,7 +206,12 @@ impl WorkersService {
             && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
         {
             let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
-            blocking(&self.0, move |c| lost::lost(c, lacks, &why).map_err(|e| status::of_store(&e))).await?;
+            blocking(&self.0, move |c| {
+                let (_, chores) = lost::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
+                do_chores(c, chores);
+                Ok(())
+            })
+            .await?;
         }
         answer
     }

@@ -1,0 +1,22 @@
+//! A job's record moves to another state, and the machine hears of it. The caller does the chores.
+
+use crate::chronicle::{Happening, Kind};
+use crate::ids::JobId;
+use crate::scheduler::Event;
+use crate::scheduling::{Chore, tell};
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobState, StoreError};
+
+/// Moves a job that is in one of some phases to another state.
+pub(crate) fn turned(
+    c: &Coordinator,
+    id: JobId,
+    from: &[JobPhase],
+    to: JobState,
+) -> Result<Vec<Chore>, StoreError> {
+    let _turn = c.turn();
+    let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
+    tracing::info!("job {id} is {}", record.state.phase());
+    c.happened(Happening::of_job(Kind::Job, id, format!("the job is {}", record.state.phase())));
+    Ok(tell(c, Event::JobChanged(Box::new(record))))
+}
