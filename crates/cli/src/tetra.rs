@@ -168,7 +168,7 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
         return refused(of_file("its triangles are not those of the scene; build it again".to_owned()));
     }
     if let Err(fault) = check(&contents) {
-        return refused(of_file(fault.to_string()));
+        return refused(of_file(format!("{fault}; build it again")));
     }
     let (cells, triangles) = (contents.cells.cell_count(), contents.surfaces.triangles.len());
     say(&format!("checked in {}", human(start.elapsed())));

@@ -11,9 +11,6 @@ use crate::surfaces::{BLOCKS, CLOSED, FLAT, SHOWS, SurfacesView};
 use super::error::TetsError;
 use super::layout::{Layout, Section};
 
-/// The remedy that both errors name.
-const AGAIN: &str = "; build it again";
-
 #[cfg(target_endian = "big")]
 compile_error!("a .tets file is used in place, and its numbers are little-endian");
 
@@ -96,8 +93,7 @@ impl<'a> Contents<'a> {
         {
             return Err(Section::Rounded.malformed("it is not a finite place for each vertex"));
         }
-        structure::check(cells, surfaces)
-            .map_err(|fault| Section::Cells.malformed(fault.to_string().replace(AGAIN, "")))?;
+        structure::check(cells, surfaces).map_err(|fault| Section::Cells.malformed(fault.to_string()))?;
         if self.windings.len() != cells.cell_count() {
             return Err(Section::Windings.malformed("it is not one number for each cell"));
         }
