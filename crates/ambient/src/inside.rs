@@ -1,4 +1,4 @@
-//! Whether a point is inside of a closed solid, where nothing is ever seen.
+//! Whether a point is inside of a closed solid of triangles that block, where nothing is ever seen.
 
 use glam::{DVec3, Vec3};
 use sightline_exact::Bvh;
@@ -26,8 +26,8 @@ impl Inside {
     /// # Errors
     /// As [`Solids::of`].
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
-        let solids = Solids::of(scene)?;
-        let outer = |id: u32| scene.blocks(id) && solids.outward(id) == Some(1.0);
+        let solids = Solids::of_blocking(scene)?;
+        let outer = |id: u32| solids.outward(id) == Some(1.0);
         let ids: Vec<u32> = (0..scene.len()).filter(|id| outer(*id)).collect();
         let triangles: Vec<[Vec3; 3]> = ids.iter().map(|id| scene.triangles()[*id as usize].v).collect();
         let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::around(t.iter().copied())).collect();

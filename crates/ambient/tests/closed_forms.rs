@@ -10,7 +10,7 @@ use sightline_ambient::Light;
 use sightline_ambient::Openness;
 use sightline_ambient::Receiver;
 use sightline_ambient::{Answer, Memory, Prepared, Settings, Solver};
-use sightline_scene::{Object, Scene, Triangle};
+use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
 
 /// How near a value has to be: coordinates of scenes are rounded to single precision.
 const NEAR: f64 = 1e-6;
@@ -352,6 +352,13 @@ fn points_in_a_closed_solid_are_inside() {
     assert!(at(&solid, DVec3::new(0.1, 0.2, 1.0), DVec3::NEG_Z));
     // A room is no solid.
     assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
+    // Nor is what a pane closes.
+    let runs = [(solid.len() as u32 - 1, Kind::Opaque, "a test"), (1, Kind::SeeThrough, "a test")];
+    let pane = scene(&solid).with_kinds("test", Kinds::from_runs(runs.into_iter(), Vec::new())).unwrap();
+    let prepared = Prepared::new(&pane, false).unwrap();
+    let point = Receiver { point: DVec3::new(0.1, 0.2, 0.3), normal: DVec3::Z, triangle: None };
+    let answer = Solver::new(&prepared, Settings::new(f64::INFINITY)).solve(&[point], |_| {}).remove(0);
+    assert!(!answer.inside);
 }
 
 /// Asserts that a value is right to its own bound, for coordinates that single precision holds.

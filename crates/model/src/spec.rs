@@ -16,7 +16,7 @@ use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 25;
+pub const ALGORITHM_VERSION: u32 = 26;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;

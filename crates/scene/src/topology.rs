@@ -28,12 +28,26 @@ impl Solids {
     /// # Errors
     /// [`SceneError::Bad`] when the scene has more than 2³²/3 triangles, whose vertices cannot be numbered.
     pub fn of(scene: &Scene) -> Result<Self, SceneError> {
+        Self::among(scene, |_| true)
+    }
+
+    /// The closed solids of the triangles that block. The others are left out before: a surface that a
+    /// see-through triangle completes is open.
+    ///
+    /// # Errors
+    /// As [`Solids::of`].
+    pub fn of_blocking(scene: &Scene) -> Result<Self, SceneError> {
+        Self::among(scene, |id| scene.blocks(id))
+    }
+
+    fn among(scene: &Scene, counts: impl Fn(u32) -> bool) -> Result<Self, SceneError> {
         let corners = corner_vertices(scene)?;
         let n = scene.triangles().len();
         // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs
         // upwards.
         let mut edges: Vec<u128> = Vec::with_capacity(3 * n);
-        let solid: Vec<bool> = scene.triangles().iter().map(|t| !t.is_degenerate()).collect();
+        let solid: Vec<bool> =
+            (0..).zip(scene.triangles()).map(|(id, t)| !t.is_degenerate() && counts(id)).collect();
         for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
             for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
                 let (lo, hi) = (a.min(b), a.max(b));
@@ -221,7 +235,7 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Object;
+    use crate::{Kind, Kinds, Object};
 
     /// The twelve triangles of a box, facing outwards.
     fn cube(at: Vec3, size: f32) -> Vec<Triangle> {
@@ -272,6 +286,20 @@ mod tests {
         assert_eq!(solids.outward(0), Some(1.0));
         assert_eq!(solids.outward(12), None);
         assert_eq!(solids.outward(13), None);
+    }
+
+    #[test]
+    fn a_see_through_side_leaves_a_solid_of_blocking_triangles_open() {
+        let kinds = |see_through: u32| {
+            let runs =
+                [(12 - see_through, Kind::Opaque, "a test"), (see_through, Kind::SeeThrough, "a test")];
+            let runs = runs.into_iter().filter(|r| r.0 > 0);
+            scene(cube(Vec3::ZERO, 1.0)).with_kinds("test", Kinds::from_runs(runs, Vec::new())).unwrap()
+        };
+        assert_eq!(Solids::of(&kinds(1)).unwrap().outward(0), Some(1.0));
+        let open = Solids::of_blocking(&kinds(1)).unwrap();
+        assert!((0..12).all(|id| open.outward(id).is_none()));
+        assert_eq!(Solids::of_blocking(&kinds(0)).unwrap().outward(0), Some(1.0));
     }
 
     #[test]

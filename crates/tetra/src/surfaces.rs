@@ -5,7 +5,7 @@
 
 use rustc_hash::FxHashMap;
 use sightline_scene::topology::Solids;
-use sightline_scene::{Object, Scene, SceneError};
+use sightline_scene::{Scene, SceneError};
 
 /// Triangles over distinct points.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -17,23 +17,6 @@ pub struct Surfaces {
     pub triangles: Vec<[u32; 3]>,
     /// What each triangle does ([`FLAT`], [`BLOCKS`], [`SHOWS`], [`CLOSED`]).
     pub flags: Vec<u8>,
-}
-
-/// Whether each triangle belongs to the surface of a closed solid of triangles that block. The others are
-/// left out before: a surface that a see-through triangle completes is open.
-fn closed(scene: &Scene) -> Result<Vec<bool>, SceneError> {
-    let mut closed = vec![false; scene.triangles().len()];
-    let blocking: Vec<u32> = (0..scene.len()).filter(|id| scene.blocks(*id)).collect();
-    let triangles: Vec<_> = blocking.iter().map(|id| scene.triangles()[*id as usize]).collect();
-    let object = Object { name: String::new(), first: 0, count: triangles.len() as u32 };
-    if triangles.is_empty() {
-        return Ok(closed);
-    }
-    let solids = Solids::of(&Scene::new("", triangles, vec![object])?)?;
-    for (k, id) in (0..).zip(blocking) {
-        closed[id as usize] = solids.outward(k) == Some(1.0);
-    }
-    Ok(closed)
 }
 
 /// The lists of [`Surfaces`], wherever they are.
@@ -68,7 +51,7 @@ impl Surfaces {
     /// # Errors
     /// As [`Solids::of`], for a scene with too many triangles.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
-        let closed = closed(scene)?;
+        let solids = Solids::of_blocking(scene)?;
         let mut numbers: FxHashMap<[u32; 3], u32> = FxHashMap::default();
         let mut points = Vec::new();
         let mut flags = Vec::with_capacity(scene.triangles().len());
@@ -86,7 +69,7 @@ impl Surfaces {
             let blocks = !flat && scene.blocks(id);
             let shows = !flat && scene.shows(id);
             let flag = |set: bool, flag: u8| if set { flag } else { 0 };
-            let closed = closed[id as usize];
+            let closed = solids.outward(id) == Some(1.0);
             flags.push(flag(flat, FLAT) | flag(blocks, BLOCKS) | flag(shows, SHOWS) | flag(closed, CLOSED));
         }
         Ok(Self { points, triangles, flags })
