@@ -1,10 +1,13 @@
 //! From tetrahedra to cells: finds what triangles meet, numbers planes, cuts, divides faces, and gathers all
 //! in the order of the tetrahedra.
 
+use std::hash::BuildHasher as _;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use hashbrown::HashTable;
+use hashbrown::hash_table::Entry;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxBuildHasher, FxHashMap};
 
 use crate::surfaces::Surfaces;
 use crate::watch::{Stage, Watch};
@@ -53,6 +56,7 @@ pub fn cells(
     let first_cells = first_cells(all, &cuts)?;
     let mut cells = Cells::default();
     work.gather(&world, &cuts, &first_cells, &mut cells, &mut counts.decisions)?;
+    drop(cuts);
     cells.points = all.points.to_vec();
     cells.planes = table.planes;
     work.raw_planes(&mut cells);
@@ -205,7 +209,7 @@ impl Work<'_> {
                 Parts { cuts: cuts.get(*i as usize).map(|(_, c)| c), first_cell: first_cells[t as usize] }
             }
         };
-        let mut gathered = Gathered { cells, numbers: FxHashMap::default(), points: self.all.points.len() };
+        let mut gathered = Gathered { cells, numbers: HashTable::new(), points: self.all.points.len() };
         for start in (0..n).step_by(BATCH) {
             self.watch.done(Stage::Faces, start as u64, n as u64);
             let batch: Vec<Vec<(u32, Faces, Decisions)>> = (start..(start + BATCH).min(n))
@@ -330,7 +334,8 @@ fn range(list: &[(u32, u32)], number: u32) -> &[(u32, u32)] {
 /// Faces under global numbers.
 struct Gathered<'a> {
     cells: &'a mut Cells,
-    numbers: FxHashMap<[u32; 3], u32>,
+    /// Places in the list of meets, by the meets' planes, which are in that list alone.
+    numbers: HashTable<u32>,
     points: usize,
 }
 
@@ -342,13 +347,21 @@ impl Gathered<'_> {
                 vertices.push(key[0]);
                 continue;
             }
-            let cells = &mut *self.cells;
-            let points = self.points;
-            vertices.push(*self.numbers.entry(*key).or_insert_with(|| {
-                cells.meets.push(*key);
-                cells.rounded.push(*rounded);
-                (points + cells.meets.len() - 1) as u32
-            }));
+            let hash = |key: &[u32; 3]| FxBuildHasher.hash_one(key);
+            let Cells { meets, rounded: places, .. } = &mut *self.cells;
+            let entry =
+                self.numbers.entry(hash(key), |n| meets[*n as usize] == *key, |n| hash(&meets[*n as usize]));
+            let number = match entry {
+                Entry::Occupied(known) => *known.get(),
+                Entry::Vacant(free) => {
+                    let number = meets.len() as u32;
+                    free.insert(number);
+                    meets.push(*key);
+                    places.push(*rounded);
+                    number
+                }
+            };
+            vertices.push(self.points as u32 + number);
         }
         let cells = &mut *self.cells;
         let (mut loop_at, mut triangle_at) = (0, 0);
