@@ -44,6 +44,7 @@ mod job_args;
 mod json_lines;
 mod kind_args;
 mod look;
+mod look_lines;
 mod look_portals;
 mod look_tets;
 mod manuals;

@@ -9,10 +9,13 @@ use sightline_pvs::{LookError, Looker, Pvs, View};
 
 use crate::error::CliError;
 use crate::json_lines::JsonLines;
+use crate::look_lines::{self, Answer};
 use crate::opening::open;
 use crate::progress::say;
-use crate::serve::print;
 use crate::tetra_args::LookArgs;
+
+/// Steps of a share of the cell's set, for the median.
+const SHARES: f64 = 1e5;
 
 /// One line of the input.
 #[derive(Deserialize)]
@@ -52,7 +55,6 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let doors = looker.doors();
     let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60],"shut":["door"]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
-    let (mut times, mut shares): (Vec<u64>, Vec<f64>) = (Vec::new(), Vec::new());
     let check = |line: Line| {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
@@ -63,44 +65,37 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         let shut: Vec<usize> = line.shut.iter().map(number).collect::<Result<_, _>>()?;
         Ok((line, shut))
     };
-    let ended = 'all: loop {
-        let (lines, failure) = input.read(check);
-        let last = lines.is_empty();
-        for (number, (line, shut)) in input.numbers.iter().zip(lines) {
-            (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
-            let view = View { eye: line.eye, direction: line.dir, up: line.up, fov: line.fov };
-            let start = Instant::now();
-            let cell = looker.look(&view);
-            let nanos = start.elapsed().as_nanos() as u64;
-            let cell = match seen_from(&pvs, &view, cell) {
-                Ok(cell) => cell,
-                Err(why) => {
-                    break 'all Err(CliError::Input(format!("{}, line {number}: {why}", input.name)));
-                }
-            };
-            times.push(nanos);
-            shares.push(looker.visible().len() as f64 / looker.of_cell().max(1) as f64);
-            let micros = nanos as f64 / 1e3;
-            let answer = json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
-            print(&answer.to_string())?;
-        }
-        match failure {
-            Some(e) => break Err(e),
-            None if last => break Ok(()),
-            None => {}
-        }
+    let mut answer = |(line, shut): (Line, Vec<usize>)| {
+        (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
+        let view = View { eye: line.eye, direction: line.dir, up: line.up, fov: line.fov };
+        let start = Instant::now();
+        let cell = looker.look(&view);
+        let nanos = start.elapsed().as_nanos() as u64;
+        let cell = seen_from(&pvs, &view, cell)?;
+        let share = looker.visible().len() as f64 / looker.of_cell().max(1) as f64;
+        let micros = nanos as f64 / 1e3;
+        let line = json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
+        Ok(Answer { line, nanos, count: (share * SHARES).round() as u64 })
     };
-    if ended.is_err() {
-        say("only the views before the bad line were answered");
-    }
-    times.sort_unstable();
-    shares.sort_by(f64::total_cmp);
-    if let (Some(time), Some(share)) = (times.get(times.len() / 2), shares.get(shares.len() / 2)) {
+    let answers = |queries: Vec<(Line, Vec<usize>)>| {
+        let mut all = Vec::with_capacity(queries.len());
+        for query in queries {
+            let answer = answer(query);
+            let failed = answer.is_err();
+            all.push(answer);
+            if failed {
+                break;
+            }
+        }
+        all
+    };
+    let (ended, medians) = look_lines::answer(&mut input, check, answers, "views");
+    if let (Some(nanos), Some(share)) = (medians.nanos.get(), medians.count.get()) {
         say(&format!(
             "{} views; in the median {:.1} µs each, and {:.1} % of the cell's set",
-            times.len(),
-            *time as f64 / 1e3,
-            share * 100.0
+            medians.answers,
+            nanos as f64 / 1e3,
+            share as f64 / SHARES * 100.0
         ));
     }
     ended

@@ -11,9 +11,10 @@ use sightline_tetra::{Engine, LookError, Mode, Scratch, Seen, Target, Tets, Tets
 
 use crate::error::CliError;
 use crate::json_lines::JsonLines;
+use crate::look_lines::{self, Answer};
 use crate::opening::plural;
 use crate::progress::say;
-use crate::serve::{self, print};
+use crate::serve;
 use crate::tetra_args::{LookArgs, LookEngine, LookMode};
 
 /// The angle of modes that need one, in degrees, if none is given.
@@ -86,51 +87,28 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         LookEngine::Bvh => Some(Engine::Boxes),
     };
     let pool: Mutex<Vec<Scratch>> = Mutex::default();
-    let (mut times, mut counts): (Vec<u64>, Vec<usize>) = (Vec::new(), Vec::new());
-    let ended = 'all: loop {
-        let (mut queries, failure) = input.read(|line: Line| query(line, args.witnesses));
-        let last = queries.is_empty();
+    let answers = |mut queries: Vec<Query>| {
         if let (None, Some(Query { point, view, .. })) = (engine, queries.first()) {
             // What is wrong with the first point is told with its line.
             engine = tets.faster(*point, view, mode, &mut Scratch::default()).ok();
         }
         queries.iter_mut().for_each(|query| query.view.engine = engine.unwrap_or_default());
-        let answers: Vec<Result<Answer, LookError>> = queries
-            .into_par_iter()
-            .map(|query| {
-                let mut scratch =
-                    pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-                let answer = answering.answer(query, &mut scratch);
-                pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
-                answer
-            })
-            .collect();
-        for (number, answer) in input.numbers.iter().zip(answers) {
-            let answer = match answer {
-                Ok(answer) => answer,
-                Err(e) => break 'all Err(CliError::Input(format!("{}, line {number}: {e}", input.name))),
-            };
-            times.push(answer.nanos);
-            counts.push(answer.visible);
-            print(&answer.line.to_string())?;
-        }
-        match failure {
-            Some(e) => break Err(e),
-            None if last => break Ok(()),
-            None => {}
-        }
+        let all = queries.into_par_iter().map(|query| {
+            let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+            let answer = answering.answer(query, &mut scratch).map_err(|e| e.to_string());
+            pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+            answer
+        });
+        all.collect()
     };
-    if ended.is_err() {
-        say("only the points before the bad line were answered");
-    }
-    times.sort_unstable();
-    counts.sort_unstable();
-    if let (Some(time), Some(count)) = (times.get(times.len() / 2), counts.get(counts.len() / 2)) {
+    let check = |line: Line| query(line, args.witnesses);
+    let (ended, medians) = look_lines::answer(&mut input, check, answers, "points");
+    if let (Some(nanos), Some(count)) = (medians.nanos.get(), medians.count.get()) {
         say(&format!(
             "{}; in the median {:.1} µs each, and {} seen",
-            plural(times.len(), "point"),
-            *time as f64 / 1e3,
-            plural(*count, "triangle")
+            plural(medians.answers, "point"),
+            nanos as f64 / 1e3,
+            plural(count as usize, "triangle")
         ));
     }
     ended
@@ -167,12 +145,6 @@ fn query(line: Line, witnesses: bool) -> Result<Query, String> {
     Ok(Query { id, point, view, targets })
 }
 
-struct Answer {
-    line: Value,
-    nanos: u64,
-    visible: usize,
-}
-
 impl Answering<'_> {
     fn answer(&self, query: Query, scratch: &mut Scratch) -> Result<Answer, LookError> {
         let Query { id, point, view, targets } = query;
@@ -204,6 +176,6 @@ impl Answering<'_> {
         }
         (line["cells"], line["beams"], line["micros"]) =
             (json!(cells), json!(beams), json!(nanos as f64 / 1e3));
-        Ok(Answer { line, nanos, visible: visible.len() })
+        Ok(Answer { line, nanos, count: visible.len() as u64 })
     }
 }
