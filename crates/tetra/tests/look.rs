@@ -96,6 +96,45 @@ fn a_slit_shows_what_is_behind_it() {
     }
 }
 
+/// A wall in the plane z with a window from (a, b) to (c, d), in four rectangles of two triangles.
+fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
+    let part = |x0: f32, y0: f32, x1: f32, y1: f32| quad([x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]);
+    [part(-9.0, -9.0, a, 9.0), part(c, -9.0, 9.0, 9.0), part(a, -9.0, c, b), part(a, d, c, 9.0)].concat()
+}
+
+/// Three walls whose windows are beside one another, so that a line through all of them exists for some: what is
+/// left of the last wall's window is a rectangle.
+#[test]
+fn staggered_walls_show_what_their_windows_have_in_common() {
+    // From the origin: windows of the planes 1, 2 and 3, as directions at z = 1.
+    let windows = [[-0.5f32, -0.5, 0.25, 0.25], [0.0, -1.0, 1.0, 0.0], [-1.5, -0.75, 0.375, 1.5]];
+    let mut all: Vec<_> = (1u8..).zip(windows).flat_map(|(z, w)| wall(f32::from(z), w)).collect();
+    all.extend(quad([-50.0, -50.0, 9.0], [50.0, -50.0, 9.0], [50.0, 50.0, 9.0], [-50.0, 50.0, 9.0]));
+    // x from 0 to 0.125: the second window begins there and the third ends. y from −0.25 to 0: those of the third
+    // and of the second.
+    let truth = rectangle(0.0, -0.25, 0.125, 0.0, 1.0);
+    for (scale, shift) in
+        [(1.0f32, 0.0f32), (3.0, 0.0), (0.01, 0.0), (100.0, 0.0), (1.0, 64.0), (8.0, -1024.0)]
+    {
+        for turn in 0..3 {
+            let moved = |p: [f32; 3]| std::array::from_fn(|k| p[(k + turn) % 3] * scale + shift);
+            let there: Vec<_> = all.iter().map(|t| t.map(moved)).collect();
+            let seen = look(&there, moved([0.0; 3]).map(f64::from));
+            let last = all.len() - 2;
+            let area: f64 =
+                seen.visible.iter().zip(&seen.areas).filter(|v| *v.0 as usize >= last).map(|v| v.1).sum();
+            // 3 and 0.01 times a coordinate are rounded.
+            let bound = if scale == 3.0 || scale == 0.01 || scale == 100.0 { 1e-7 } else { 1e-13 };
+            assert!((area - truth).abs() < bound, "{scale} {shift} {turn}: {area} {truth}");
+            assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
+        }
+    }
+    // A window that begins where the one before it ends shows nothing of what is behind.
+    let shut = wall(3.0, [-1.5, -0.75, 0.0, 1.5]);
+    all.splice(16..24, shut);
+    assert!(look(&all, [0.0; 3]).visible.iter().all(|t| *t < 24));
+}
+
 #[test]
 fn closed_seams_show_nothing() {
     // A wall in strips with corners that do not agree (T-junctions), at coordinates that are not exact in

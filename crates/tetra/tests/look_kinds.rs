@@ -5,11 +5,15 @@
 
 use std::f64::consts::PI;
 
+mod meshes;
+
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Seen, Target, Tets, View, build};
+
+use meshes::{few_points, sheets};
 
 type T = [[f32; 3]; 3];
 
@@ -177,5 +181,16 @@ proptest! {
         (direction, angle, distance) in limits(),
     ) {
         check(&all, x, direction, angle, distance)?;
+    }
+
+    #[test]
+    fn meshes_of_kinds_are_seen_alike(
+        all in prop_oneof![few_points(), sheets()],
+        kinds in prop::collection::vec(kind(), 1..12),
+        x in prop::array::uniform3(-9..=9i8),
+        (direction, angle, distance) in limits(),
+    ) {
+        let all: Vec<(T, Kind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
+        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance)?;
     }
 }

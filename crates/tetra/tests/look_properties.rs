@@ -5,6 +5,7 @@
 
 use std::f64::consts::PI;
 
+mod meshes;
 mod shapes;
 
 use glam::{DVec3, Vec3};
@@ -14,6 +15,7 @@ use sightline_tetra::check::check as check_cells;
 use sightline_tetra::look::{Engine, Looker, Mode, Node, Scratch, Seen, Target, View};
 use sightline_tetra::{Built, Quiet, build};
 
+use meshes::{few_points, sheets};
 use shapes::{T, lattice_of_cubes, saddle, schonhardt};
 
 struct World(Built);
@@ -209,6 +211,16 @@ proptest! {
 
     #[test]
     fn sets_of_scattered_triangles_agree_with_rays_and_orders(triangles in scattered(), x in point()) {
+        check(&triangles, x)?;
+    }
+
+    #[test]
+    fn sets_of_triangles_with_few_points_agree_with_rays_and_orders(triangles in few_points(), x in point()) {
+        check(&triangles, x)?;
+    }
+
+    #[test]
+    fn sets_of_sheets_agree_with_rays_and_orders(triangles in sheets(), x in point()) {
         check(&triangles, x)?;
     }
 

@@ -5,7 +5,7 @@ use bytemuck::{AnyBitPattern, cast_slice};
 
 use crate::cells::CellsView;
 use crate::check::structure;
-use crate::look::Boxes;
+use crate::look::{Boxes, neighbours};
 use crate::surfaces::{BLOCKS, CLOSED, FLAT, SHOWS, SurfacesView};
 
 use super::error::TetsError;
@@ -62,6 +62,7 @@ impl<'a> Contents<'a> {
             boxes: Boxes {
                 nodes: part(file, layout, Section::Boxes),
                 order: part(file, layout, Section::Order),
+                neighbours: part(file, layout, Section::Neighbours),
             },
         }
     }
@@ -97,6 +98,8 @@ impl<'a> Contents<'a> {
         if self.windings.len() != cells.cell_count() {
             return Err(Section::Windings.malformed("it is not one number for each cell"));
         }
+        neighbours::check(self.boxes.neighbours, surfaces)
+            .map_err(|reason| Section::Neighbours.malformed(reason))?;
         self.boxes.check(surfaces).map_err(|reason| Section::Boxes.malformed(reason))
     }
 

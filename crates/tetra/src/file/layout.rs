@@ -3,8 +3,8 @@
 //! | offset | bytes | contents |
 //! |---|---|---|
 //! | 0 | 8 | `89 54 45 54 0d 0a 1a 0a`, which transfers that change line ends or clear the eighth bit alter |
-//! | 8 | 4 | version: 1 |
-//! | 12 | 4 | number of sections S: 14 |
+//! | 8 | 4 | version: 2 |
+//! | 12 | 4 | number of sections S: 15 |
 //! | 16 | 8 | length of the file |
 //! | 24 | 32 | digest of the scene |
 //! | 56 | 4 | CRC-32C of bytes 0…55 and of the section table |
@@ -19,12 +19,12 @@ use std::ops::Range;
 use super::error::TetsError;
 
 /// The version that this crate reads and writes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 const MAGIC: [u8; 8] = *b"\x89TET\r\n\x1a\n";
 const CRC_AT: usize = 56;
 const TABLE_AT: usize = 64;
-const SECTIONS: usize = 14;
+const SECTIONS: usize = 15;
 const HEADER: usize = TABLE_AT + SECTIONS * 24;
 
 /// The sections in the order of the file.
@@ -59,6 +59,8 @@ pub enum Section {
     Boxes,
     /// A u32 for each triangle that blocks or shows: those of a box together.
     Order,
+    /// Three u32 a triangle: what is across the edge from each corner to the next, or 2³² − 1.
+    Neighbours,
 }
 
 impl Section {
@@ -78,6 +80,7 @@ impl Section {
         Self::Windings,
         Self::Boxes,
         Self::Order,
+        Self::Neighbours,
     ];
 
     /// Its name in messages.
@@ -97,13 +100,14 @@ impl Section {
             Self::Windings => "solids around cells",
             Self::Boxes => "boxes",
             Self::Order => "triangles of boxes",
+            Self::Neighbours => "neighbours of triangles",
         }
     }
 
     /// Bytes of one entry.
     fn entry(self) -> usize {
         match self {
-            Self::Points | Self::Triangles | Self::Planes | Self::Meets => 12,
+            Self::Points | Self::Triangles | Self::Planes | Self::Meets | Self::Neighbours => 12,
             Self::Rounded => 24,
             Self::Faces => 20,
             Self::Cells => 8,

@@ -23,7 +23,7 @@ struct Cost {
     step: f64,
 }
 
-const OF_BOXES: Cost = Cost { beam: 7.0, step: 0.12 };
+const OF_BOXES: Cost = Cost { beam: 2.0, step: 0.5 };
 const OF_CELLS: Cost = Cost { beam: 8.0, step: 1.0 };
 
 enum Bytes {

@@ -46,5 +46,6 @@ fn bytes<'a>(section: Section, contents: &Contents<'a>) -> &'a [u8] {
         Section::Windings => cast_slice(windings),
         Section::Boxes => cast_slice(boxes.nodes),
         Section::Order => cast_slice(boxes.order),
+        Section::Neighbours => cast_slice(boxes.neighbours),
     }
 }

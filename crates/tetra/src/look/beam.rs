@@ -7,7 +7,7 @@
 
 use super::eye::Eye;
 use super::planes::{Corner, Kind, Plane, Planes, Side};
-use super::rounded::{Rounded, U};
+use super::rounded::Rounded;
 
 /// A corner of a ring and the side of the border from it to the next corner.
 #[derive(Clone, Copy, Debug)]
@@ -118,13 +118,7 @@ pub fn cut(
 /// A direction inside of a beam, which no rounding has put outside; nothing if no double near the middle is
 /// certainly inside.
 pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
-    let mut sum = [0.0; 3];
-    for edge in ring {
-        let w = edge.corner.way.v;
-        let length = (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]).sqrt();
-        (0..3).for_each(|k| sum[k] += w[k] / length);
-    }
-    let way = Rounded::exact(sum).scaled();
+    let way = Rounded::exact(super::boxes::middle(ring)).scaled();
     let way = Rounded::exact(way.v);
     let inside = ring.iter().all(|e| way.dot(&planes.normal(e.side)).sign() == Some(1));
     inside.then_some(way.v)
@@ -153,19 +147,4 @@ pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
         narrow = narrow.min(far);
     }
     (narrow, wide.sqrt())
-}
-
-/// Whether a box is outside of a beam for certain: beyond one of its planes. `low` and `high` are the box's
-/// corners.
-#[inline]
-pub fn misses(planes: &Planes, ring: &[Edge], x: [f64; 3], low: [f32; 3], high: [f32; 3]) -> bool {
-    let near: [f64; 3] = std::array::from_fn(|k| f64::from(low[k]) - x[k]);
-    let far: [f64; 3] = std::array::from_fn(|k| f64::from(high[k]) - x[k]);
-    let reach = (0..3).fold(0.0f64, |r, k| r.max(near[k].abs()).max(far[k].abs()));
-    ring.iter().any(|edge| {
-        let n = planes.normal(edge.side);
-        // The corner that is farthest along the normal.
-        let most = (0..3).fold(0.0, |sum, k| sum + (n.v[k] * near[k]).max(n.v[k] * far[k]));
-        most < -reach * (3.0 * n.error + 16.0 * U)
-    })
 }

@@ -4,8 +4,8 @@
 //! them gives. Signs of polynomials whose terms have equal degree do not depend on that power.
 
 use dashu_int::IBig;
-use glam::DVec3;
-use sightline_scene::exact::{det3_small, differences, dyadic};
+use glam::{DVec3, Vec3};
+use sightline_scene::exact::{det3_small, differences, dyadic, orient3d_sign};
 
 use super::rounded::Rounded;
 
@@ -57,6 +57,15 @@ impl<'a> Eye<'a> {
         let points = points.map(|p| DVec3::from(self.point(p)));
         let rows = differences(DVec3::from(self.x), points)?;
         det3_small(rows).map(|sign| sign as i32)
+    }
+
+    /// Whether a point is in a face's plane; nothing for points that are not the scene's.
+    pub fn is_in_plane(&self, point: u32, face: [u32; 3]) -> Option<bool> {
+        if face.contains(&point) {
+            return Some(true);
+        }
+        let of = |p: u32| self.points.get(p as usize).map(|p| Vec3::from(*p));
+        Some(orient3d_sign(of(face[0])?, of(face[1])?, of(face[2])?, of(point)?).is_eq())
     }
 
     /// The way to a point in integers.

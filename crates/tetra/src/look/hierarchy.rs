@@ -1,6 +1,8 @@
-//! A hierarchy of boxes over the triangles that block or show.
+//! A hierarchy of boxes over the triangles that block or show, and which triangles are neighbours.
 
 use crate::surfaces::{BLOCKS, FLAT, SHOWS, SurfacesView};
+
+use super::neighbours;
 
 /// A box with two boxes or some triangles in it. 32 bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -24,6 +26,8 @@ pub struct Hierarchy {
     pub nodes: Vec<Node>,
     /// Triangles, those of a leaf together.
     pub order: Vec<u32>,
+    /// What is across the edges of each triangle (`neighbours`).
+    pub neighbours: Vec<[u32; 3]>,
 }
 
 /// The lists of a [`Hierarchy`], wherever they are.
@@ -33,6 +37,8 @@ pub struct Boxes<'a> {
     pub nodes: &'a [Node],
     /// As [`Hierarchy::order`].
     pub order: &'a [u32],
+    /// As [`Hierarchy::neighbours`].
+    pub neighbours: &'a [[u32; 3]],
 }
 
 impl Boxes<'_> {
@@ -112,15 +118,16 @@ const BINS: usize = 16;
 impl Hierarchy {
     /// The lists.
     pub fn view(&self) -> Boxes<'_> {
-        Boxes { nodes: &self.nodes, order: &self.order }
+        Boxes { nodes: &self.nodes, order: &self.order, neighbours: &self.neighbours }
     }
 
     /// Builds the boxes by the surface-area heuristic.
     pub fn new(surfaces: SurfacesView<'_>) -> Self {
         let mut order: Vec<u32> =
             (0..surfaces.triangles.len() as u32).filter(|t| is_listed(surfaces.flags[*t as usize])).collect();
+        let neighbours = neighbours::neighbours(surfaces);
         if order.is_empty() {
-            return Self::default();
+            return Self { neighbours, ..Self::default() };
         }
         let bounds: Vec<Bounds> = surfaces
             .triangles
@@ -145,7 +152,7 @@ impl Hierarchy {
             };
             nodes[at] = Node { low: around.low, first, high: around.high, count };
         }
-        Self { nodes, order }
+        Self { nodes, order, neighbours }
     }
 }
 

@@ -243,10 +243,23 @@ impl<'a> Looker<'a> {
         limits: Limits,
         scratch: &'s mut Scratch,
     ) -> Search<'s> {
+        let reach = self.boxes.nodes.first().map_or(0.0, |n| {
+            (0..3).fold(0.0f64, |m, k| {
+                m.max((f64::from(n.low[k]) - x[k]).abs()).max((f64::from(n.high[k]) - x[k]).abs())
+            })
+        });
+        scratch.sieve.begin(x, reach);
         let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
         let SurfacesView { triangles, flags, .. } = self.surfaces;
         Search {
-            scene: Scene { triangles, flags, nodes: self.boxes.nodes, order: self.boxes.order, space },
+            scene: Scene {
+                triangles,
+                flags,
+                nodes: self.boxes.nodes,
+                order: self.boxes.order,
+                neighbours: self.boxes.neighbours,
+                space,
+            },
             eye: Eye::new(x, self.points, corners, self.unit),
             mode,
             limits,

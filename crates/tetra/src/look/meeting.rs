@@ -6,8 +6,8 @@ use crate::surfaces::BLOCKS;
 use super::beam::{self, Edge, Place};
 use super::planes::{Facing, Planes, Side};
 use super::scratch::Scratch;
-use super::search::{Search, prune};
-use super::stack::Beam;
+use super::search::Search;
+use super::stack::{Beam, NO_HINT};
 use super::view::{Mode, Seen};
 use super::within::Limits;
 
@@ -33,8 +33,8 @@ impl Search<'_> {
         let made = planes.list.len();
         let [a, b, c] = facing.points;
         let mut covered = true;
-        let mut sides = [Side::new(0, false); 3];
-        for (side, (a, b)) in sides.iter_mut().zip([(a, b), (b, c), (c, a)]) {
+        let mut sides = [(Side::new(0, false), false); 3];
+        for ((side, cuts), (a, b)) in sides.iter_mut().zip([(a, b), (b, c), (c, a)]) {
             *side = planes.add_edge(eye, a, b);
             match beam::place(planes, eye, &beam.ring, *side, &mut rings.signs) {
                 Place::Outside => {
@@ -42,7 +42,10 @@ impl Search<'_> {
                     return false;
                 }
                 Place::Inside => {}
-                Place::Both => covered = false,
+                Place::Both => {
+                    covered = false;
+                    *cuts = true;
+                }
             }
         }
         if self.scene.flags[triangle as usize] & BLOCKS == 0 {
@@ -59,7 +62,10 @@ impl Search<'_> {
         rings.inside.clear();
         rings.inside.extend_from_slice(&beam.ring);
         let mut parts = 0;
-        for side in sides {
+        for (side, cuts) in sides {
+            if !cuts {
+                continue;
+            }
             match beam::place(planes, eye, &rings.inside, side, &mut rings.signs) {
                 Place::Inside => {}
                 Place::Outside => {
@@ -103,9 +109,7 @@ impl Search<'_> {
             return false;
         }
         let made = (planes.list.len(), entered.len());
-        if self.scene.space.is_none() {
-            prune(self.scene.nodes, planes, self.eye.x, beam, cap.as_ref());
-        }
+        beam.hint = NO_HINT;
         let keep = |ring: &[Edge], seen: &mut Seen| keep(self.mode, planes, ring, &self.limits, seen);
         for out in &rings.out[..parts] {
             if let Some(whole) = keep(out, seen) {
@@ -166,7 +170,13 @@ impl Search<'_> {
 }
 
 /// Whether a part of a beam is to be followed, and whether it is cut any further. What is dropped is counted.
-fn keep(mode: Mode, planes: &Planes, ring: &[Edge], limits: &Limits, seen: &mut Seen) -> Option<bool> {
+pub(super) fn keep(
+    mode: Mode,
+    planes: &Planes,
+    ring: &[Edge],
+    limits: &Limits,
+    seen: &mut Seen,
+) -> Option<bool> {
     match mode {
         Mode::Exact => Some(false),
         Mode::Aggressive(angle) => {

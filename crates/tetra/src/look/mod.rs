@@ -2,19 +2,27 @@
 
 mod areas;
 mod beam;
+mod boxes;
 mod ending;
 mod eye;
+mod front;
+mod guess;
 pub mod hierarchy;
 mod looker;
 mod meeting;
+pub(crate) mod neighbours;
+mod outline;
+mod patch;
 mod planes;
 mod rounded;
 mod scratch;
 mod search;
+mod sieve;
 mod space;
 mod stack;
 mod view;
 mod within;
+mod zeros;
 
 pub use hierarchy::{Boxes, Hierarchy, Node};
 pub use looker::{LookError, Looker};

@@ -30,6 +30,17 @@ pub struct Plane {
     pub normal: Rounded,
 }
 
+impl Plane {
+    /// The plane through two points.
+    #[inline]
+    pub fn edge(eye: &Eye<'_>, a: u32, b: u32) -> Self {
+        let (low, high) = (a.min(b), a.max(b));
+        // The edge's own vector is far more precise than the difference of two long ways.
+        let normal = eye.to(low).cross(&eye.between(low, high)).scaled();
+        Self { kind: Kind::Edge(low, high), normal }
+    }
+}
+
 /// A plane of a list, with a side: twice its index, and one more where the other side is meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Side(u32);
@@ -97,11 +108,17 @@ impl Planes {
 
     /// Adds the plane through two points, with the side on which (a − x) × (b − x) is.
     pub fn add_edge(&mut self, eye: &Eye<'_>, a: u32, b: u32) -> Side {
-        let (low, high) = (a.min(b), a.max(b));
-        // The edge's own vector is far more precise than the difference of two long ways.
-        let normal = eye.to(low).cross(&eye.between(low, high)).scaled();
-        self.add(Plane { kind: Kind::Edge(low, high), normal });
+        self.add(Plane::edge(eye, a, b));
         Side::new(self.list.len() - 1, a > b)
+    }
+
+    /// The two points of an edge's plane, in the order that has the side inside.
+    pub fn edge_of(&self, side: Side) -> Option<(u32, u32)> {
+        match self.list[side.plane()].kind {
+            Kind::Edge(a, b) if side.negative() => Some((b, a)),
+            Kind::Edge(a, b) => Some((a, b)),
+            _ => None,
+        }
     }
 
     /// The normal of a side.
@@ -114,35 +131,39 @@ impl Planes {
     /// On which side a corner is: 1 inside, −1 outside, 0 on the plane.
     #[inline]
     pub fn side_of(&mut self, eye: &Eye<'_>, corner: &Corner, side: Side) -> i32 {
-        self.decided += 1;
-        let plane = &self.list[side.plane()];
-        let sign = match corner.way.dot(&plane.normal).sign() {
-            Some(sign) => sign,
-            None if self.shared(corner, side) => 0,
-            None => {
-                self.integers += 1;
-                let kind = plane.kind;
-                let short = match kind {
-                    Kind::Edge(a, b) if corner.point != NONE => eye.turn([corner.point, a, b]),
-                    _ => None,
-                };
-                short.unwrap_or_else(|| {
-                    let way = self.way_exactly(eye, corner);
-                    eye::sign(&eye::dot(&way, &normal_exactly(eye, kind)))
-                })
-            }
-        };
+        let plane = self.list[side.plane()];
+        let sign = self.sign_of(eye, corner, &plane);
         if side.negative() { -sign } else { sign }
     }
 
-    /// Whether a corner is known to be on a plane.
-    fn shared(&self, corner: &Corner, side: Side) -> bool {
-        let kind = self.list[side.plane()].kind;
-        let same = |other: Side| other.plane() == side.plane() || self.list[other.plane()].kind == kind;
-        match kind {
-            Kind::Edge(a, b) if corner.point != NONE && (corner.point == a || corner.point == b) => true,
-            _ => same(corner.sides[0]) || same(corner.sides[1]),
+    /// The sign of a corner's product with a plane's normal.
+    #[inline]
+    pub fn sign_of(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &Plane) -> i32 {
+        self.decided += 1;
+        match corner.way.side(&plane.normal) {
+            Some(sign) => sign,
+            None => self.sign_closely(eye, corner, plane),
         }
+    }
+
+    /// The same where quick bounds leave it open.
+    #[cold]
+    fn sign_closely(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &Plane) -> i32 {
+        if let Some(sign) = corner.way.dot(&plane.normal).sign() {
+            return sign;
+        }
+        if self.is_on(eye, corner, plane.kind) {
+            return 0;
+        }
+        self.integers += 1;
+        let short = match plane.kind {
+            Kind::Edge(a, b) if corner.point != NONE => eye.turn([corner.point, a, b]),
+            _ => None,
+        };
+        short.unwrap_or_else(|| {
+            let way = self.way_exactly(eye, corner);
+            eye::sign(&eye::dot(&way, &normal_exactly(eye, plane.kind)))
+        })
     }
 
     /// The corner where two sides meet, between two directions less than a right angle apart.

@@ -86,6 +86,18 @@ impl Rounded {
         Number { value, error: error * (1.0 + 8.0 * U) }
     }
 
+    /// The sign of the scalar product of two vectors whose components are below 2, if bounds leave no doubt.
+    ///
+    /// With sizes below 2 the bound of [`Self::dot`] is at most 6(α + β) + 3αβ + 40u. Where α or β is 1 or
+    /// more, 12.1 of it is more than any product, so that 3αβ is at most 3(α + β) wherever a sign comes out.
+    #[inline]
+    pub fn side(&self, b: &Self) -> Option<i32> {
+        let (x, y) = (&self.v, &b.v);
+        let value = x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
+        let error = 12.1 * (self.error + b.error) + 48.0 * U;
+        Number { value, error }.sign()
+    }
+
     /// p·a − q·b.
     pub fn combination(p: Number, a: &Self, q: Number, b: &Self) -> Self {
         let mut v = [0.0; 3];

@@ -1,8 +1,10 @@
 //! Memory that queries use again.
 
 use super::beam::Ring;
+use super::patch::Patch;
 use super::planes::Planes;
 use super::rounded::Rounded;
+use super::sieve::Sieve;
 use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
 
@@ -18,6 +20,11 @@ pub struct Scratch {
     pub(super) entered: Entered,
     /// Boxes that may hold a triangle that holds the point.
     pub(super) boxes: Vec<u32>,
+    /// What the beam that is followed does not meet.
+    pub(super) sieve: Sieve,
+    /// A list of boxes that is made on the way.
+    pub(super) refined: Vec<Entry>,
+    pub(super) patch: Patch,
     /// The cell of the last viewpoint, where the search for the next one begins.
     pub(super) hint: Option<u32>,
     /// The answer of the last query.

@@ -12,18 +12,15 @@ use crate::surfaces::BLOCKS;
 
 use super::areas::area;
 use super::beam::{self, Place};
+use super::boxes::reach;
 use super::eye::Eye;
 use super::hierarchy::Node;
-use super::planes::{Facing, Planes, Side};
-use super::rounded::U;
+use super::planes::{Facing, Side};
 use super::scratch::Scratch;
 use super::space::{Space, THROUGH_FACE};
-use super::stack::{Beam, Entry};
+use super::stack::{Beam, Entry, NO_HINT};
 use super::view::Mode;
 use super::within::Limits;
-
-/// A part by which bounds on distances are moved: far more than their few roundings.
-const BOUND: f64 = 1e-12;
 
 /// What a search looks at.
 pub(super) struct Scene<'a> {
@@ -31,6 +28,8 @@ pub(super) struct Scene<'a> {
     pub flags: &'a [u8],
     pub nodes: &'a [Node],
     pub order: &'a [u32],
+    /// What is across the edges of each triangle.
+    pub neighbours: &'a [[u32; 3]],
     /// The cells, where they answer.
     pub space: Option<Space<'a>>,
 }
@@ -85,6 +84,7 @@ impl Search<'_> {
             }
             beam.pending.clear();
             beam.met.clear();
+            beam.hint = NO_HINT;
             if self.scene.space.is_some() {
                 beam.pending.extend_from_slice(&rings.start);
             } else if !self.scene.nodes.is_empty() {
@@ -109,16 +109,19 @@ impl Search<'_> {
     /// Follows a beam until it ends or is divided.
     fn follow(&mut self, beam: &mut Beam) {
         let mut cap = beam.caps.first().and_then(|t| self.facing(*t));
-        let mut reach = self.reach(beam, cap.as_ref());
+        if self.scene.space.is_none() && self.begin_boxes(beam, &mut cap) {
+            return;
+        }
+        let mut far = self.sift(beam, cap.as_ref());
         while let Some(entry) = beam.pending.pop() {
-            if entry.key > reach {
+            if entry.key > far {
                 // All boxes that wait are at least as far away.
                 break;
             }
             if matches!(entry.count, 0 | THROUGH_FACE) {
                 match self.scene.space {
                     Some(_) => self.enter(beam, cap.as_ref(), &entry),
-                    None => self.open(beam, cap.as_ref(), entry.first),
+                    None => self.open(beam, entry.first),
                 }
                 continue;
             }
@@ -130,7 +133,7 @@ impl Search<'_> {
                 None => self.scene.order[entry.first as usize],
             };
             // The cells name a triangle once for each of its faces.
-            if beam.caps.contains(&triangle) || beam.met.contains(&triangle) {
+            if beam.caps.contains(&triangle) || beam.met.contains(&triangle) || self.is_sifted(triangle) {
                 continue;
             }
             let before = cap.map(|cap| cap.points);
@@ -138,51 +141,44 @@ impl Search<'_> {
                 return;
             }
             if cap.map(|cap| cap.points) != before {
-                reach = self.reach(beam, cap.as_ref());
+                far = self.sift(beam, cap.as_ref());
             }
         }
         self.end(beam, cap.as_ref());
     }
 
-    /// The square of how far away the cap is at most in a beam, with what rounding may add; infinite without
-    /// a cap, and where cells answer, whose keys are no bounds.
-    fn reach(&self, beam: &Beam, cap: Option<&Facing>) -> f64 {
-        let Some(cap) = cap.filter(|_| self.scene.space.is_none()) else { return f64::INFINITY };
-        // The part of the plane in the beam is convex, so a corner is its farthest place.
-        beam.ring.iter().fold(0.0, |most: f64, edge| {
-            let way = &edge.corner.way;
-            let along = cap.normal.dot(way);
-            let least = along.value - along.error;
-            if least <= 0.0 {
-                return f64::INFINITY;
-            }
-            let size = way.v.iter().fold(0.0, |sum, c| sum + (c.abs() + way.error) * (c.abs() + way.error));
-            let times = (cap.height.value + cap.height.error) / least;
-            most.max(times * times * size * (1.0 + BOUND))
-        })
+    /// Begins a beam among boxes; says whether it ended or was divided.
+    fn begin_boxes(&mut self, beam: &mut Beam, cap: &mut Option<Facing>) -> bool {
+        let Scratch { sieve, planes, .. } = &mut *self.scratch;
+        sieve.of(planes, &beam.ring, cap.as_ref());
+        self.refine(beam);
+        if beam.caps.is_empty() {
+            return if beam.whole { self.see_whole(beam) } else { self.see(beam, cap) };
+        }
+        if beam.whole {
+            return false;
+        }
+        match self.guess(beam, cap.as_ref()) {
+            Some(triangle) if !beam.caps.contains(&triangle) => self.meet(beam, cap, triangle),
+            _ => false,
+        }
     }
 
-    /// Goes into a box, if some of the beam does in front of its cap.
-    fn open(&mut self, beam: &mut Beam, cap: Option<&Facing>, number: u32) {
-        let node = &self.scene.nodes[number as usize];
-        let x = self.eye.x;
-        if beam::misses(&self.scratch.planes, &beam.ring, x, node.low, node.high)
-            || cap.is_some_and(|cap| behind(cap, x, node))
-            || self.limits.beyond(x, node.low, node.high)
-        {
-            return;
+    /// The square of how far away the cap is at most in a beam: infinite without a cap, and where cells answer,
+    /// whose keys are no bounds. The sieve leaves out what is behind the cap from now on.
+    fn sift(&mut self, beam: &Beam, cap: Option<&Facing>) -> f64 {
+        if self.scene.space.is_some() {
+            return f64::INFINITY;
         }
-        self.scratch.seen.cells += 1;
-        let below = beam.pending.last().map_or(f64::INFINITY, |entry| entry.key);
-        if node.count > 0 {
-            beam.pending.push(Entry { key: below.min(near(node, x)), first: node.first, count: node.count });
-            return;
-        }
-        let [a, b] = [node.first, node.first + 1].map(|n| (near(&self.scene.nodes[n as usize], x), n));
-        let (first, second) = if b.0 < a.0 { (b, a) } else { (a, b) };
-        let key = below.min(second.0);
-        beam.pending.push(Entry { key, first: second.1, count: 0 });
-        beam.pending.push(Entry { key: key.min(first.0), first: first.1, count: 0 });
+        let Scratch { sieve, planes, .. } = &mut *self.scratch;
+        sieve.of(planes, &beam.ring, cap);
+        cap.map_or(f64::INFINITY, |cap| reach(&beam.ring, cap))
+    }
+
+    /// Whether the sieve leaves out a triangle.
+    fn is_sifted(&self, triangle: u32) -> bool {
+        let points = self.points(triangle).map(|p| self.eye.point(p));
+        self.scene.space.is_none() && self.scratch.sieve.behind(points).is_none()
     }
 
     /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part
@@ -221,49 +217,4 @@ impl Search<'_> {
         // Faces of targets block, and are in no set.
         self.scene.flags.get(triangle as usize).copied().unwrap_or(BLOCKS)
     }
-}
-
-/// The square of how far away a box is at least, but for a few roundings of one part in 2⁵³ each.
-fn near(node: &Node, x: [f64; 3]) -> f64 {
-    let sum = (0..3).fold(0.0, |sum, k| {
-        let d = (f64::from(node.low[k]) - x[k]).max(x[k] - f64::from(node.high[k])).max(0.0);
-        sum + d * d
-    });
-    sum * (1.0 - BOUND)
-}
-
-/// Leaves out the boxes that a beam does not go into, once for all of its parts, and brings the keys of the
-/// others up to date.
-pub(super) fn prune(nodes: &[Node], planes: &Planes, x: [f64; 3], beam: &mut Beam, cap: Option<&Facing>) {
-    let Beam { ring, pending, .. } = beam;
-    let mut least = f64::INFINITY;
-    pending.retain_mut(|entry| {
-        if entry.count == 0 {
-            let node = &nodes[entry.first as usize];
-            if beam::misses(planes, ring, x, node.low, node.high)
-                || cap.is_some_and(|cap| behind(cap, x, node))
-            {
-                return false;
-            }
-            least = least.min(near(node, x));
-        } else {
-            least = least.min(entry.key);
-        }
-        entry.key = least;
-        true
-    });
-}
-
-/// Whether all of a box is behind a face's plane for certain.
-fn behind(cap: &Facing, x: [f64; 3], node: &Node) -> bool {
-    let n = &cap.normal;
-    let mut least = 0.0;
-    let mut reach = 0.0f64;
-    for (k, x) in x.into_iter().enumerate() {
-        let (low, high) = (f64::from(node.low[k]) - x, f64::from(node.high[k]) - x);
-        least += (n.v[k] * low).min(n.v[k] * high);
-        reach = reach.max(low.abs()).max(high.abs());
-    }
-    let slack = reach * (3.0 * n.error + 16.0 * U * n.size()) + cap.height.error;
-    least > cap.height.value + slack + 4.0 * U * cap.height.value
 }

@@ -32,7 +32,12 @@ pub struct Beam {
     pub met: Vec<u32>,
     /// Whether it is cut no more.
     pub whole: bool,
+    /// A triangle that is probably seen in it, or [`NO_HINT`].
+    pub hint: u32,
 }
+
+/// No triangle.
+pub const NO_HINT: u32 = u32::MAX;
 
 #[derive(Clone, Copy)]
 struct Top {
@@ -43,6 +48,7 @@ struct Top {
     /// Number of planes, and of cells that were entered.
     made: (usize, usize),
     whole: bool,
+    hint: u32,
 }
 
 /// The beams that wait.
@@ -66,6 +72,7 @@ impl Stack {
             met: self.met.len(),
             made,
             whole,
+            hint: beam.hint,
         });
         self.ring.extend_from_slice(ring);
         self.pending.extend_from_slice(&beam.pending);
@@ -87,6 +94,7 @@ impl Stack {
         take(&mut self.caps, top.caps, &mut beam.caps);
         take(&mut self.met, top.met, &mut beam.met);
         beam.whole = top.whole;
+        beam.hint = top.hint;
         Some(top.made)
     }
 

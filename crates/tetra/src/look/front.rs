@@ -1,0 +1,242 @@
+//! How a beam without a cap is decided: by a patch that covers it and has nothing in front of it, or by cutting it
+//! in two.
+//!
+//! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which it does:
+//! there a surface ends or turns away, so something else is seen beyond. If it covers the beam, all that waits is
+//! compared with it. A triangle in front of it begins the next patch; one that goes through it cuts the beam along
+//! the line where both meet; one in its plane is left to [`super::meeting`]. What is behind a patch that covers the
+//! beam is forgotten for all parts of the beam.
+
+use crate::surfaces::BLOCKS;
+
+use super::beam::{self, Place};
+use super::boxes::{near, reach};
+use super::meeting::keep;
+use super::outline::{Order, Outline, order};
+use super::patch::{End, Grown, Patch};
+use super::planes::{Facing, Side};
+use super::scratch::Scratch;
+use super::search::Search;
+use super::stack::{Beam, NO_HINT};
+
+/// Patches that are tried in front of one another before the beam is cut along a triangle's edges. Surfaces that do
+/// not cross have an order, so this is seldom reached.
+const TRIES: usize = 16;
+
+impl Search<'_> {
+    /// Decides a beam that has no cap and may be cut. Says whether it ended or was divided; else it has a cap now.
+    pub(super) fn see(&mut self, beam: &mut Beam, cap: &mut Option<Facing>) -> bool {
+        let mut patch = std::mem::take(&mut self.scratch.patch);
+        let done = self.see_with(beam, cap, &mut patch);
+        self.scratch.patch = patch;
+        done
+    }
+
+    fn see_with(&mut self, beam: &mut Beam, cap: &mut Option<Facing>, patch: &mut Patch) -> bool {
+        let (made, met) = (self.scratch.planes.list.len(), beam.met.len());
+        let mut seed = if beam.hint == NO_HINT { self.guess(beam, None) } else { Some(beam.hint) };
+        patch.clear();
+        for _ in 0..TRIES {
+            if let Some(triangle) = seed {
+                match self.grow(beam, triangle, patch) {
+                    Grown::Covers => {}
+                    Grown::Ends(end) => return self.cut_at(beam, end, made, met),
+                    Grown::No => break,
+                }
+            }
+            let far = far(patch);
+            let Some((triangle, order)) = self.in_front(beam, patch, far) else {
+                self.end_patch(beam, patch);
+                return true;
+            };
+            self.forget(beam, far);
+            self.scratch.planes.list.truncate(made);
+            beam.met.truncate(met);
+            seed = Some(triangle);
+            match order {
+                Order::Crosses(plane) => {
+                    let side = self.scratch.planes.add(plane);
+                    beam.hint = triangle;
+                    self.halve(beam, side);
+                    return true;
+                }
+                Order::Nearer => {}
+                Order::Level | Order::Hidden => break,
+            }
+        }
+        self.scratch.planes.list.truncate(made);
+        beam.met.truncate(met);
+        seed.is_some_and(|triangle| self.meet(beam, cap, triangle))
+    }
+
+    /// Decides a beam that has no cap and is cut no more, if a patch covers it. Says whether it did.
+    pub(super) fn see_whole(&mut self, beam: &mut Beam) -> bool {
+        let made = self.scratch.planes.list.len();
+        let Some(seed) = self.guess(beam, None) else { return false };
+        let mut patch = std::mem::take(&mut self.scratch.patch);
+        let covered = matches!(self.grow(beam, seed, &mut patch), Grown::Covers);
+        if covered {
+            // All that may be in front of it counts as seen.
+            self.in_front(beam, &patch, far(&patch));
+            self.end_patch(beam, &patch);
+        }
+        self.scratch.planes.list.truncate(made);
+        self.scratch.patch = patch;
+        covered
+    }
+
+    /// Cuts a beam where a patch ends.
+    fn cut_at(&mut self, beam: &mut Beam, end: End, made: usize, met: usize) -> bool {
+        self.scratch.planes.list.truncate(made);
+        beam.met.truncate(met);
+        let side = self.scratch.planes.add_edge(&self.eye, end.a, end.b);
+        beam.hint = end.triangle;
+        self.halve(beam, side);
+        true
+    }
+
+    /// A triangle of those that wait of which some is in front of a patch, and blocks; `far` is the square of how far
+    /// away the patch is at most. See-through ones are kept in `beam.met`, and all if the beam is cut no more.
+    fn in_front(&mut self, beam: &mut Beam, patch: &Patch, far: f64) -> Option<(u32, Order)> {
+        let Scratch { sieve, planes, .. } = &mut *self.scratch;
+        sieve.of(planes, &beam.ring, None);
+        patch.pieces().iter().for_each(|piece| sieve.patch(&piece.facing));
+        let mut open = std::mem::take(&mut self.scratch.boxes);
+        let mut found = None;
+        for at in (0..beam.pending.len()).rev() {
+            let entry = beam.pending[at];
+            if entry.key > far || found.is_some() {
+                break;
+            }
+            if entry.count > 0 {
+                found = self.leaf_in_front(beam, patch, entry.first, entry.count);
+                continue;
+            }
+            open.clear();
+            open.push(entry.first);
+            while let Some(number) = open.pop() {
+                let node = &self.scene.nodes[number as usize];
+                if near(node, self.eye.x) > far
+                    || self.scratch.sieve.stops(node.low, node.high)
+                    || self.limits.beyond(self.eye.x, node.low, node.high)
+                {
+                    continue;
+                }
+                self.scratch.seen.cells += 1;
+                if node.count == 0 {
+                    open.extend([node.first, node.first + 1]);
+                    continue;
+                }
+                found = self.leaf_in_front(beam, patch, node.first, node.count);
+                if found.is_some() {
+                    break;
+                }
+            }
+        }
+        self.scratch.boxes = open;
+        found
+    }
+
+    fn leaf_in_front(
+        &mut self,
+        beam: &mut Beam,
+        patch: &Patch,
+        first: u32,
+        count: u32,
+    ) -> Option<(u32, Order)> {
+        for k in first..first + count {
+            let triangle = self.scene.order[k as usize];
+            let points = self.points(triangle);
+            let Some(behind) = self.scratch.sieve.behind(points.map(|p| self.eye.point(p))) else { continue };
+            if patch.pieces().iter().any(|p| p.triangle == triangle) || beam.met.contains(&triangle) {
+                continue;
+            }
+            let Some(outline) = Outline::of(&self.eye, points) else { continue };
+            let Scratch { planes, rings, .. } = &mut *self.scratch;
+            if outline.is_beside(planes, &self.eye, &beam.ring) {
+                continue;
+            }
+            let mut place = Order::Hidden;
+            if patch.pieces().is_empty() {
+                let made = planes.list.len();
+                if outline.clip(planes, &self.eye, &beam.ring, rings) {
+                    place = Order::Nearer;
+                }
+                planes.list.truncate(made);
+            }
+            for (n, piece) in patch.pieces().iter().enumerate() {
+                if behind >> n & 1 == 0 {
+                    place = order(planes, &self.eye, (&piece.ring, &piece.facing), &outline, rings);
+                    if !matches!(place, Order::Hidden) {
+                        break;
+                    }
+                }
+            }
+            match place {
+                Order::Hidden => {}
+                _ if beam.whole || self.scene.flags[triangle as usize] & BLOCKS == 0 => {
+                    beam.met.push(triangle)
+                }
+                place => return Some((triangle, place)),
+            }
+        }
+        None
+    }
+
+    /// Leaves out what the patch in the sieve hides, for all parts of the beam, which it covers.
+    fn forget(&mut self, beam: &mut Beam, far: f64) {
+        let (nodes, sieve) = (self.scene.nodes, &self.scratch.sieve);
+        beam.pending.retain(|entry| {
+            entry.count > 0
+                || entry.key <= far && {
+                    let node = &nodes[entry.first as usize];
+                    !sieve.stops(node.low, node.high)
+                }
+        });
+    }
+
+    /// Ends a beam in which nothing is in front of a patch that covers it, or in which nothing is.
+    fn end_patch(&mut self, beam: &mut Beam, patch: &Patch) {
+        if patch.pieces().is_empty() {
+            self.end(beam, None);
+            return;
+        }
+        let beams = self.scratch.seen.beams + 1;
+        for piece in patch.pieces() {
+            beam.ring.clear();
+            beam.ring.extend_from_slice(&piece.ring);
+            beam.caps.clear();
+            beam.caps.push(piece.triangle);
+            self.end(beam, Some(&piece.facing));
+        }
+        self.scratch.seen.beams = beams;
+    }
+
+    /// Divides a beam along a plane that it has directions on both sides of. The inner part keeps the hint.
+    fn halve(&mut self, beam: &mut Beam, side: Side) {
+        let Scratch { planes, stack, rings, seen, entered, .. } = &mut *self.scratch;
+        let place = beam::place(planes, &self.eye, &beam.ring, side, &mut rings.signs);
+        debug_assert_eq!(
+            place,
+            Place::Both,
+            "an edge or a line inside of a beam has directions on both sides"
+        );
+        beam::cut(planes, &self.eye, &beam.ring, side, &rings.signs, &mut rings.next, &mut rings.far);
+        let made = (planes.list.len(), entered.len());
+        let hint = beam.hint;
+        for (ring, hint) in [(&rings.far, NO_HINT), (&rings.next, hint)] {
+            if let Some(whole) = keep(self.mode, planes, ring, &self.limits, seen) {
+                beam.hint = hint;
+                stack.push(beam, ring, &beam.caps, whole, made);
+            }
+        }
+    }
+}
+
+/// The square of how far away a patch is at most; infinite if it has no pieces.
+fn far(patch: &Patch) -> f64 {
+    match patch.pieces() {
+        [] => f64::INFINITY,
+        pieces => pieces.iter().fold(0.0, |far: f64, p| far.max(reach(&p.ring, &p.facing))),
+    }
+}

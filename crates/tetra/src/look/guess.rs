@@ -1,0 +1,108 @@
+//! Guesses what a beam sees: the first triangle along its middle.
+//!
+//! What a beam is cut by first decides how many parts it is cut into, and never what is seen. A triangle that is
+//! hidden cuts in vain, one that is seen does not. So doubles without bounds are enough here.
+
+use crate::surfaces::BLOCKS;
+
+use super::boxes::middle;
+use super::planes::Facing;
+use super::search::Search;
+use super::stack::Beam;
+
+type V = [f64; 3];
+
+fn dot(a: V, b: V) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: V, b: V) -> V {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// A line from the viewpoint, and the first triangle on it so far.
+struct Ray {
+    x: V,
+    way: V,
+    inverse: V,
+    /// How far it goes, in lengths of `way`.
+    most: f64,
+    found: Option<u32>,
+}
+
+impl Search<'_> {
+    /// The blocking triangle that the line through a beam's middle meets first, nearer than the cap, among those
+    /// that wait.
+    pub(super) fn guess(&mut self, beam: &Beam, cap: Option<&Facing>) -> Option<u32> {
+        let way = middle(&beam.ring);
+        // What is as far away as the cap is the cap, or as good.
+        let most = cap.map_or(f64::INFINITY, |cap| cap.height.value / dot(cap.normal.v, way) * (1.0 - 1e-9));
+        let mut ray = Ray { x: self.eye.x, way, inverse: way.map(|c| 1.0 / c), most, found: None };
+        for entry in beam.pending.iter().rev() {
+            if entry.count > 0 {
+                self.meet_leaf(&mut ray, entry.first, entry.count);
+            } else {
+                self.follow_ray(&mut ray, entry.first);
+            }
+        }
+        ray.found
+    }
+
+    fn follow_ray(&mut self, ray: &mut Ray, root: u32) {
+        let mut open = std::mem::take(&mut self.scratch.boxes);
+        open.clear();
+        open.push(root);
+        while let Some(number) = open.pop() {
+            if self.enters(ray, number).is_none() {
+                continue;
+            }
+            let node = &self.scene.nodes[number as usize];
+            if node.count > 0 {
+                self.meet_leaf(ray, node.first, node.count);
+                continue;
+            }
+            let [a, b] = [node.first, node.first + 1];
+            match (self.enters(ray, a), self.enters(ray, b)) {
+                (Some(near_a), Some(near_b)) => open.extend(if near_a <= near_b { [b, a] } else { [a, b] }),
+                (Some(_), None) => open.push(a),
+                (None, Some(_)) => open.push(b),
+                (None, None) => {}
+            }
+        }
+        self.scratch.boxes = open;
+    }
+
+    /// Where a line enters a box, if it does.
+    fn enters(&self, ray: &Ray, number: u32) -> Option<f64> {
+        let node = &self.scene.nodes[number as usize];
+        let (mut from, mut to) = (0.0f64, ray.most);
+        for k in 0..3 {
+            let a = (f64::from(node.low[k]) - ray.x[k]) * ray.inverse[k];
+            let b = (f64::from(node.high[k]) - ray.x[k]) * ray.inverse[k];
+            from = from.max(a.min(b));
+            to = to.min(a.max(b));
+        }
+        (from <= to).then_some(from)
+    }
+
+    fn meet_leaf(&self, ray: &mut Ray, first: u32, count: u32) {
+        for t in &self.scene.order[first as usize..][..count as usize] {
+            if self.scene.flags[*t as usize] & BLOCKS == 0 {
+                continue;
+            }
+            let [a, b, c] = self.scene.triangles[*t as usize].map(|p| {
+                let p = self.eye.point(p);
+                [p[0] - ray.x[0], p[1] - ray.x[1], p[2] - ray.x[2]]
+            });
+            let sides = [dot(cross(a, b), ray.way), dot(cross(b, c), ray.way), dot(cross(c, a), ray.way)];
+            let all = sides[0] + sides[1] + sides[2];
+            if all == 0.0 || sides.iter().any(|s| (*s > 0.0) != (all > 0.0)) {
+                continue;
+            }
+            let at = dot(a, cross(b, c)) / all;
+            if at > 0.0 && at < ray.most {
+                (ray.most, ray.found) = (at, Some(*t));
+            }
+        }
+    }
+}

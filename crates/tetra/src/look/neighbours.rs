@@ -1,0 +1,142 @@
+//! The triangle across each edge of a triangle.
+//!
+//! Neighbours are pairs: whatever is across an edge has the first triangle across the same edge. Where more than
+//! two triangles have an edge, pairs that turn the same way around are made first. Triangles with the same three
+//! points are never neighbours.
+
+use crate::surfaces::{BLOCKS, FLAT, SurfacesView};
+
+/// No neighbour.
+pub const NONE: u32 = u32::MAX;
+
+/// Of many triangles at one edge, so many after each are tried as its neighbour.
+const SEARCHED: usize = 16;
+
+/// Whether a triangle can be a neighbour, or have one.
+fn counts(flags: u8) -> bool {
+    flags & FLAT == 0 && flags & BLOCKS != 0
+}
+
+/// An edge of a triangle: its points in order, the triangle, and which of its edges it is. It starts at the corner
+/// of that number.
+type Side = (u32, u32, u32, u8);
+
+/// For each triangle what is across the edge from each corner to the next one, or [`NONE`].
+pub fn neighbours(surfaces: SurfacesView<'_>) -> Vec<[u32; 3]> {
+    let triangles = surfaces.triangles;
+    let mut sides: Vec<Side> = Vec::new();
+    for (t, points) in (0u32..).zip(triangles).filter(|(t, _)| counts(surfaces.flags[*t as usize])) {
+        for k in 0..3u8 {
+            let (a, b) = (points[usize::from(k)], points[(usize::from(k) + 1) % 3]);
+            sides.push((a.min(b), a.max(b), t, k));
+        }
+    }
+    sides.sort_unstable();
+    let mut across = vec![[NONE; 3]; triangles.len()];
+    for group in sides.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let start = |s: &Side| triangles[s.2 as usize][usize::from(s.3)];
+        let third = |s: &Side| triangles[s.2 as usize][(usize::from(s.3) + 2) % 3];
+        for turned in [false, true] {
+            for (at, own) in group.iter().enumerate() {
+                let is_free = |s: &Side| across[s.2 as usize][usize::from(s.3)] == NONE;
+                let fits =
+                    |s: &&Side| is_free(s) && third(s) != third(own) && (turned || start(s) != start(own));
+                let next = &group[at + 1..group.len().min(at + 1 + SEARCHED)];
+                if let Some(other) = next.iter().find(fits).filter(|_| is_free(own)) {
+                    across[own.2 as usize][usize::from(own.3)] = other.2;
+                    across[other.2 as usize][usize::from(other.3)] = own.2;
+                }
+            }
+        }
+    }
+    across
+}
+
+/// Whether neighbours are pairs that block and share the two points of their edge, and not the third.
+///
+/// # Errors
+/// What is wrong, in words.
+pub fn check(across: &[[u32; 3]], surfaces: SurfacesView<'_>) -> Result<(), String> {
+    let triangles = surfaces.triangles;
+    if across.len() != triangles.len() {
+        return Err("they are not three for each triangle".to_owned());
+    }
+    for (t, of) in (0u32..).zip(across) {
+        for k in 0..3 {
+            if of[k] == NONE {
+                continue;
+            }
+            let own = triangles[t as usize];
+            let edge = [own[k], own[(k + 1) % 3]];
+            let third = own[(k + 2) % 3];
+            let fits = triangles.get(of[k] as usize).is_some_and(|points| {
+                let back = (0..3).find(|j| {
+                    edge.contains(&points[*j])
+                        && edge.contains(&points[(*j + 1) % 3])
+                        && points[(*j + 2) % 3] != third
+                });
+                let both_count = [t, of[k]].iter().all(|t| counts(surfaces.flags[*t as usize]));
+                both_count && back.is_some_and(|j| across[of[k] as usize][j] == t)
+            });
+            if !fits {
+                return Err(format!("what is across edge {k} of triangle {t} does not fit"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What is across the edge of two points of a triangle.
+pub fn across(neighbours: &[[u32; 3]], triangles: &[[u32; 3]], triangle: u32, a: u32, b: u32) -> u32 {
+    let t = triangle as usize;
+    let (Some(points), Some(of)) = (triangles.get(t), neighbours.get(t)) else { return NONE };
+    let is_it = |k: &usize| [points[*k], points[(*k + 1) % 3]].iter().all(|p| *p == a || *p == b);
+    (0..3).find(is_it).map_or(NONE, |k| of[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+        let flags = vec![BLOCKS; triangles.len()];
+        let surfaces = SurfacesView { points: &[[0.0; 3]; 8], triangles, flags: &flags };
+        let found = neighbours(surfaces);
+        check(&found, surfaces).unwrap();
+        found
+    }
+
+    #[test]
+    fn two_triangles_of_a_square_are_neighbours() {
+        assert_eq!(of(&[[0, 1, 2], [0, 2, 3]]), [[NONE, NONE, 1], [0, NONE, NONE]]);
+    }
+
+    #[test]
+    fn doubled_triangles_are_paired_by_their_turn() {
+        // A square and the same from behind.
+        let found = of(&[[0, 1, 2], [0, 2, 1], [0, 2, 3], [0, 3, 2]]);
+        assert_eq!(found, [[NONE, NONE, 2], [3, NONE, NONE], [0, NONE, NONE], [NONE, NONE, 1]]);
+    }
+
+    #[test]
+    fn of_three_at_one_edge_two_are_neighbours() {
+        let found = of(&[[0, 1, 2], [0, 1, 3], [1, 0, 4]]);
+        assert_eq!([found[0][0], found[1][0], found[2][0]], [2, NONE, 0]);
+    }
+
+    #[test]
+    fn what_is_no_pair_is_found() {
+        let triangles = [[0, 1, 2], [0, 2, 3]];
+        let good = of(&triangles);
+        let flags = [BLOCKS; 2];
+        let surfaces = SurfacesView { points: &[[0.0; 3]; 4], triangles: &triangles, flags: &flags };
+        for (t, k, to) in [(0, 2, NONE), (0, 2, 0), (0, 2, 7), (0, 0, 1), (1, 0, NONE), (1, 1, 0)] {
+            let mut bad = good.clone();
+            bad[t][k] = to;
+            assert!(check(&bad, surfaces).is_err(), "{t} {k} {to}");
+        }
+        let through = SurfacesView { flags: &[BLOCKS, 0], ..surfaces };
+        assert!(check(&good, through).is_err());
+        assert!(check(&good[..1], surfaces).is_err());
+    }
+}

@@ -1,0 +1,108 @@
+//! A triangle as a beam meets it: its plane and the planes of its edges.
+
+use super::beam::{self, Edge, Place, Ring};
+use super::eye::Eye;
+use super::planes::{Facing, Plane, Planes};
+use super::scratch::Rings;
+
+/// A triangle whose plane does not hold the viewpoint.
+pub(super) struct Outline {
+    pub facing: Facing,
+    /// The planes of the edges in front order, and whether the inner side is the negative one.
+    edges: [(Plane, bool); 3],
+}
+
+impl Outline {
+    /// The outline of three points.
+    pub fn of(eye: &Eye<'_>, points: [u32; 3]) -> Option<Self> {
+        let facing = Facing::of(eye, points)?;
+        let [a, b, c] = facing.points;
+        Some(Self { facing, edges: [(a, b), (b, c), (c, a)].map(|(a, b)| (Plane::edge(eye, a, b), a > b)) })
+    }
+
+    /// Whether no direction of a ring's interior is in the triangle because one of its edges divides them.
+    pub fn is_beside(&self, planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge]) -> bool {
+        self.edges.iter().any(|(plane, negative)| {
+            let outside = if *negative { 1 } else { -1 };
+            ring.iter().all(|edge| planes.sign_of(eye, &edge.corner, plane) != -outside)
+        })
+    }
+
+    /// Cuts a ring to its part in the triangle, which is in `rings.inside` then; says whether there is one. The
+    /// planes that it needs are added.
+    pub fn clip(&self, planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge], rings: &mut Rings) -> bool {
+        rings.inside.clear();
+        rings.inside.extend_from_slice(ring);
+        for (plane, negative) in &self.edges {
+            let side = planes.add(*plane);
+            let side = if *negative { side.other() } else { side };
+            match beam::place(planes, eye, &rings.inside, side, &mut rings.signs) {
+                Place::Inside => {}
+                Place::Outside => return false,
+                Place::Both => {
+                    let Rings { inside, next, far, signs, .. } = rings;
+                    beam::cut(planes, eye, inside, side, signs, next, far);
+                    std::mem::swap(inside, next);
+                }
+            }
+        }
+        true
+    }
+}
+
+/// Where a triangle is relative to a patch that covers the beam.
+pub(super) enum Order {
+    /// Nothing of it is in front within the beam.
+    Hidden,
+    /// Some of it is.
+    Nearer,
+    /// It lies in the plane of a piece and overlaps it.
+    Level,
+    /// It goes through the plane of a piece, along this plane.
+    Crosses(Plane),
+}
+
+/// Where a triangle is relative to a face in a ring that the face covers. Needs and forgets some planes.
+pub(super) fn order(
+    planes: &mut Planes,
+    eye: &Eye<'_>,
+    (ring, face): (&Ring, &Facing),
+    outline: &Outline,
+    rings: &mut Rings,
+) -> Order {
+    let facing = &outline.facing;
+    let level = face.has_points_of(facing);
+    let is_behind = |p: &u32| face.points.contains(p) || face.hides(&[eye.to(*p)]);
+    if !level && facing.points.iter().all(is_behind) || outline.is_beside(planes, eye, ring) {
+        return Order::Hidden;
+    }
+    let meet = (!level).then(|| face.meet(facing));
+    if let Some(meet) = &meet {
+        // Farther away in all of the ring, whatever part of it the triangle covers.
+        let mut farther = false;
+        let not_nearer = ring.iter().all(|edge| {
+            let sign = planes.sign_of(eye, &edge.corner, meet);
+            farther |= sign < 0;
+            sign <= 0
+        });
+        if not_nearer && farther {
+            return Order::Hidden;
+        }
+    }
+    let made = planes.list.len();
+    let order = if !outline.clip(planes, eye, ring, rings) {
+        Order::Hidden
+    } else if let Some(meet) = meet {
+        let side = planes.add(meet);
+        match beam::place(planes, eye, &rings.inside, side, &mut rings.signs) {
+            Place::Outside => Order::Hidden,
+            Place::Inside if rings.signs.iter().all(|s| *s == 0) => Order::Level,
+            Place::Inside => Order::Nearer,
+            Place::Both => Order::Crosses(meet),
+        }
+    } else {
+        Order::Level
+    };
+    planes.list.truncate(made);
+    order
+}

@@ -1,0 +1,146 @@
+//! Which boxes and triangles a beam does not meet, in single precision and for four planes at a time.
+//!
+//! A plane is kept as a normal n and a number c, so that n · (p − x) + c is negative for what is on its outer
+//! side: c is 0 for a side of the beam, and the plane's distance for a cap. Coordinates are scaled by a power of
+//! two that brings the scene's below 1, so nothing overflows. Bounds on all roundings are added to the left
+//! side: what is left out is left out for certain, and what is kept may still be outside.
+
+use glam::{DVec3, Vec3, Vec4};
+
+use super::beam::Edge;
+use super::planes::{Facing, Planes};
+
+/// Planes that are tried together.
+const LANES: usize = 4;
+
+/// Four planes.
+#[derive(Clone, Copy, Debug)]
+struct Group {
+    /// The normals' x of all, their y, their z.
+    normals: [Vec4; 3],
+    /// The constants, with what bounds add to them.
+    constant: Vec4,
+    /// What bounds add, as a part of the largest coordinate.
+    margin: Vec4,
+}
+
+/// The planes of a beam and its cap, or its patch.
+#[derive(Debug, Default)]
+pub struct Sieve {
+    /// What is outside of one of these is left out.
+    bounds: Vec<Group>,
+    bound_count: usize,
+    /// What is outside of all of these is left out.
+    patch: Vec<Group>,
+    patch_count: usize,
+    x: DVec3,
+    scale: f64,
+}
+
+/// A normal's components are below 2, and at most 1 + 2⁻²³ after the scaling are coordinates. Single precision
+/// rounds each of them, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 3 + 6 · 3 < 40 such parts. This is
+/// 64 of them.
+const ROUNDED: f64 = 1.0 / (1u64 << 18) as f64;
+/// More than what underflow can take away from a few products.
+const TINY: f64 = 1e-36;
+
+impl Sieve {
+    /// Begins a query from a viewpoint; no coordinate of the scene's box is farther than `reach` from it.
+    pub fn begin(&mut self, x: [f64; 3], reach: f64) {
+        self.x = x.into();
+        let exponent = if reach > 0.0 { -(libm::ilogb(reach) + 1) } else { 0 };
+        self.scale = f64::powi(2.0, exponent);
+    }
+
+    /// Begins a beam.
+    pub fn of(&mut self, planes: &Planes, ring: &[Edge], cap: Option<&Facing>) {
+        (self.bound_count, self.patch_count) = (0, 0);
+        self.bounds.clear();
+        self.patch.clear();
+        for edge in ring {
+            let n = planes.normal(edge.side);
+            add(&mut self.bounds, &mut self.bound_count, 1.0, (n.v, n.error), (0.0, 0.0));
+        }
+        if let Some(cap) = cap {
+            self.cap(cap);
+        }
+    }
+
+    /// Leaves out what is behind a cap from now on.
+    pub fn cap(&mut self, cap: &Facing) {
+        let (n, c) = self.scaled(cap);
+        add(&mut self.bounds, &mut self.bound_count, 1.0, n, c);
+    }
+
+    /// Adds a face to the patch.
+    pub fn patch(&mut self, face: &Facing) {
+        let (n, c) = self.scaled(face);
+        add(&mut self.patch, &mut self.patch_count, -1.0, n, c);
+    }
+
+    /// A face's normal, outer side to the back, and its distance, with their bounds.
+    fn scaled(&self, face: &Facing) -> (([f64; 3], f64), (f64, f64)) {
+        let n = face.normal.scaled();
+        let by = n.size() / face.normal.size() * self.scale;
+        ((n.v.map(|c| -c), n.error), (face.height.value * by, face.height.error * by))
+    }
+
+    /// Whether all of a box is outside of the beam, or behind its cap, or behind all of its patch.
+    #[inline]
+    pub fn stops(&self, low: [f32; 3], high: [f32; 3]) -> bool {
+        let (near, far) = (self.way(Vec3::from(low).as_dvec3()), self.way(Vec3::from(high).as_dvec3()));
+        let reach = near.abs().max(far.abs()).max_element();
+        let most = |g: &Group| {
+            let [x, y, z] = g.normals;
+            let x = (x * near.x).max(x * far.x);
+            let y = (y * near.y).max(y * far.y);
+            let z = (z * near.z).max(z * far.z);
+            x + y + z + (g.constant + g.margin * reach)
+        };
+        self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any())
+            || !self.patch.is_empty() && self.patch.iter().all(|g| most(g).cmplt(Vec4::ZERO).all())
+    }
+
+    /// Nothing where all of a triangle is outside of the beam or behind its cap, or behind all of its patch; else
+    /// the pieces of the patch that it is behind, a bit each.
+    #[inline]
+    pub fn behind(&self, points: [[f64; 3]; 3]) -> Option<u64> {
+        let [a, b, c] = points.map(|p| self.way(p.into()));
+        let reach = a.abs().max(b.abs()).max(c.abs()).max_element();
+        let most = |g: &Group| {
+            let [x, y, z] = g.normals;
+            let of = |p: Vec3| x * p.x + y * p.y + z * p.z;
+            of(a).max(of(b)).max(of(c)) + (g.constant + g.margin * reach)
+        };
+        if self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any()) {
+            return None;
+        }
+        let mut behind = 0u64;
+        for (k, g) in self.patch.iter().enumerate() {
+            behind |= u64::from(most(g).cmplt(Vec4::ZERO).bitmask()) << (k * LANES);
+        }
+        let all = self.patch.len() * LANES;
+        (all == 0 || behind.count_ones() as usize != all).then_some(behind)
+    }
+
+    #[inline]
+    fn way(&self, p: DVec3) -> Vec3 {
+        ((p - self.x) * self.scale).as_vec3()
+    }
+}
+
+/// Adds a plane to the last group, or to a new one whose other planes have nothing on their outer sides (`fill`
+/// positive) or everything.
+fn add(groups: &mut Vec<Group>, count: &mut usize, fill: f32, n: ([f64; 3], f64), c: (f64, f64)) {
+    let lane = *count % LANES;
+    if lane == 0 {
+        groups.push(Group { normals: [Vec4::ZERO; 3], constant: Vec4::splat(fill), margin: Vec4::ZERO });
+    }
+    *count += 1;
+    let Some(group) = groups.last_mut() else { return };
+    for (normals, n) in group.normals.iter_mut().zip(n.0) {
+        normals[lane] = n as f32;
+    }
+    group.constant[lane] = (c.0 + c.1 + c.0.abs() * ROUNDED + TINY) as f32;
+    group.margin[lane] = (4.0 * n.1 + ROUNDED) as f32;
+}
