@@ -354,7 +354,7 @@ fn points_in_a_closed_solid_are_inside() {
     assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
     // Nor is what a pane closes.
     let runs = [(solid.len() as u32 - 1, Kind::Opaque, "a test"), (1, Kind::SeeThrough, "a test")];
-    let pane = scene(&solid).with_kinds("test", Kinds::from_runs(runs.into_iter(), Vec::new())).unwrap();
+    let pane = scene(&solid).with_kinds("test", Kinds::from_runs(runs, Vec::new())).unwrap();
     let prepared = Prepared::new(&pane, false).unwrap();
     let point = Receiver { point: DVec3::new(0.1, 0.2, 0.3), normal: DVec3::Z, triangle: None };
     let answer = Solver::new(&prepared, Settings::new(f64::INFINITY)).solve(&[point], |_| {}).remove(0);

@@ -29,8 +29,8 @@ pub struct Medians {
     pub count: Median,
 }
 
-/// Reads lines, has those that were read together answered, and prints the answers up to the first that fails.
-/// The medians are of what was answered, also where the input ends with an error, which says so.
+/// Reads lines, has those that were read together answered, and prints the answers up to the first that
+/// fails. The medians are of what was answered, also where the input ends with an error, which says so.
 pub fn answer<L: DeserializeOwned, Q>(
     input: &mut JsonLines,
     check: impl Fn(L) -> Result<Q, String>,
@@ -70,8 +70,8 @@ pub fn answer<L: DeserializeOwned, Q>(
 /// Numbers below 2^EXACT are counted one by one; each power of two above has so many steps.
 const EXACT: u32 = 10;
 
-/// The median of any number of numbers, in memory that does not grow with them: exact up to 1024, and within one
-/// part in 1024 above.
+/// The median of any number of numbers, in memory that does not grow with them: exact up to 1024, and within
+/// one part in 1024 above.
 #[derive(Default)]
 pub struct Median {
     /// Numbers by step.

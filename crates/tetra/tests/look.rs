@@ -102,16 +102,16 @@ fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
     [part(-9.0, -9.0, a, 9.0), part(c, -9.0, 9.0, 9.0), part(a, -9.0, c, b), part(a, d, c, 9.0)].concat()
 }
 
-/// Three walls whose windows are beside one another, so that a line through all of them exists for some: what is
-/// left of the last wall's window is a rectangle.
+/// Three walls whose windows are beside one another, so that a line through all of them exists for some: what
+/// is left of the last wall's window is a rectangle.
 #[test]
 fn staggered_walls_show_what_their_windows_have_in_common() {
     // From the origin: windows of the planes 1, 2 and 3, as directions at z = 1.
     let windows = [[-0.5f32, -0.5, 0.25, 0.25], [0.0, -1.0, 1.0, 0.0], [-1.5, -0.75, 0.375, 1.5]];
     let mut all: Vec<_> = (1u8..).zip(windows).flat_map(|(z, w)| wall(f32::from(z), w)).collect();
     all.extend(quad([-50.0, -50.0, 9.0], [50.0, -50.0, 9.0], [50.0, 50.0, 9.0], [-50.0, 50.0, 9.0]));
-    // x from 0 to 0.125: the second window begins there and the third ends. y from −0.25 to 0: those of the third
-    // and of the second.
+    // x from 0 to 0.125: the second window begins there and the third ends. y from −0.25 to 0: those of the
+    // third and of the second.
     let truth = rectangle(0.0, -0.25, 0.125, 0.0, 1.0);
     for (scale, shift) in
         [(1.0f32, 0.0f32), (3.0, 0.0), (0.01, 0.0), (100.0, 0.0), (1.0, 64.0), (8.0, -1024.0)]

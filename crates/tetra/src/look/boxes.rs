@@ -11,8 +11,8 @@ use super::stack::{Beam, Entry};
 /// A part by which bounds on distances are moved: far more than their few roundings.
 const BOUND: f64 = 1e-12;
 
-/// A box is opened for a beam and all its parts if the square of its diagonal is as many times that of the beam's
-/// radius at its distance. From 0.25 to 16 it hardly matters (`docs/experiments/look.md`).
+/// A box is opened for a beam and all its parts if the square of its diagonal is as many times that of the
+/// beam's radius at its distance. From 0.25 to 16 it hardly matters (`docs/experiments/look.md`).
 const LARGE: f64 = 2.0;
 
 impl Search<'_> {

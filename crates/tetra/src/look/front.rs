@@ -1,11 +1,11 @@
-//! How a beam without a cap is decided: by a patch that covers it and has nothing in front of it, or by cutting it
-//! in two.
+//! How a beam without a cap is decided: by a patch that covers it and has nothing in front of it, or by
+//! cutting it in two.
 //!
-//! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which it does:
-//! there a surface ends or turns away, so something else is seen beyond. If it covers the beam, all that waits is
-//! compared with it. A triangle in front of it begins the next patch; one that goes through it cuts the beam along
-//! the line where both meet; one in its plane is left to [`super::meeting`]. What is behind a patch that covers the
-//! beam is forgotten for all parts of the beam.
+//! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which
+//! it does: there a surface ends or turns away, so something else is seen beyond. If it covers the beam, all
+//! that waits is compared with it. A triangle in front of it begins the next patch; one that goes through it
+//! cuts the beam along the line where both meet; one in its plane is left to [`super::meeting`]. What is
+//! behind a patch that covers the beam is forgotten for all parts of the beam.
 
 use crate::surfaces::BLOCKS;
 
@@ -19,12 +19,13 @@ use super::scratch::Scratch;
 use super::search::Search;
 use super::stack::{Beam, NO_HINT};
 
-/// Patches that are tried in front of one another before the beam is cut along a triangle's edges. Surfaces that do
-/// not cross have an order, so this is seldom reached.
+/// Patches that are tried in front of one another before the beam is cut along a triangle's edges. Surfaces
+/// that do not cross have an order, so this is seldom reached.
 const TRIES: usize = 16;
 
 impl Search<'_> {
-    /// Decides a beam that has no cap and may be cut. Says whether it ended or was divided; else it has a cap now.
+    /// Decides a beam that has no cap and may be cut. Says whether it ended or was divided; else it has a cap
+    /// now.
     pub(super) fn see(&mut self, beam: &mut Beam, cap: &mut Option<Facing>) -> bool {
         let mut patch = std::mem::take(&mut self.scratch.patch);
         let done = self.see_with(beam, cap, &mut patch);
@@ -95,8 +96,9 @@ impl Search<'_> {
         true
     }
 
-    /// A triangle of those that wait of which some is in front of a patch, and blocks; `far` is the square of how far
-    /// away the patch is at most. See-through ones are kept in `beam.met`, and all if the beam is cut no more.
+    /// A triangle of those that wait of which some is in front of a patch, and blocks; `far` is the square of
+    /// how far away the patch is at most. See-through ones are kept in `beam.met`, and all if the beam is cut
+    /// no more.
     fn in_front(&mut self, beam: &mut Beam, patch: &Patch, far: f64) -> Option<(u32, Order)> {
         let Scratch { sieve, planes, .. } = &mut *self.scratch;
         sieve.of(planes, &beam.ring, None);

@@ -1,7 +1,7 @@
 //! Guesses what a beam sees: the first triangle along its middle.
 //!
-//! What a beam is cut by first decides how many parts it is cut into, and never what is seen. A triangle that is
-//! hidden cuts in vain, one that is seen does not. So doubles without bounds are enough here.
+//! What a beam is cut by first decides how many parts it is cut into, and never what is seen. A triangle that
+//! is hidden cuts in vain, one that is seen does not. So doubles without bounds are enough here.
 
 use crate::surfaces::BLOCKS;
 
@@ -31,8 +31,8 @@ struct Ray {
 }
 
 impl Search<'_> {
-    /// The blocking triangle that the line through a beam's middle meets first, nearer than the cap, among those
-    /// that wait.
+    /// The blocking triangle that the line through a beam's middle meets first, nearer than the cap, among
+    /// those that wait.
     pub(super) fn guess(&mut self, beam: &Beam, cap: Option<&Facing>) -> Option<u32> {
         let way = middle(&beam.ring);
         // What is as far away as the cap is the cap, or as good.

@@ -1,8 +1,8 @@
 //! The triangle across each edge of a triangle.
 //!
-//! Neighbours are pairs: whatever is across an edge has the first triangle across the same edge. Where more than
-//! two triangles have an edge, pairs that turn the same way around are made first. Triangles with the same three
-//! points are never neighbours.
+//! Neighbours are pairs: whatever is across an edge has the first triangle across the same edge. Where more
+//! than two triangles have an edge, pairs that turn the same way around are made first. Triangles with the
+//! same three points are never neighbours.
 
 use crate::surfaces::{BLOCKS, FLAT, SurfacesView};
 
@@ -17,8 +17,8 @@ fn counts(flags: u8) -> bool {
     flags & FLAT == 0 && flags & BLOCKS != 0
 }
 
-/// An edge of a triangle: its points in order, the triangle, and which of its edges it is. It starts at the corner
-/// of that number.
+/// An edge of a triangle: its points in order, the triangle, and which of its edges it is. It starts at the
+/// corner of that number.
 type Side = (u32, u32, u32, u8);
 
 /// For each triangle what is across the edge from each corner to the next one, or [`NONE`].

@@ -28,8 +28,8 @@ impl Outline {
         })
     }
 
-    /// Cuts a ring to its part in the triangle, which is in `rings.inside` then; says whether there is one. The
-    /// planes that it needs are added.
+    /// Cuts a ring to its part in the triangle, which is in `rings.inside` then; says whether there is one.
+    /// The planes that it needs are added.
     pub fn clip(&self, planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge], rings: &mut Rings) -> bool {
         rings.inside.clear();
         rings.inside.extend_from_slice(ring);

@@ -1,10 +1,12 @@
-//! Patches: neighbouring triangles that cover a beam together, so that it is not cut along the edges between them.
+//! Patches: neighbouring triangles that cover a beam together, so that it is not cut along the edges between
+//! them.
 //!
-//! A triangle is clipped by the beam, and so are its neighbours across the edges that are left inside, and theirs.
-//! If each such edge has, as seen from the viewpoint, its triangle on one side and the neighbour on the other, the
-//! pieces cover all of the beam equally often. For neighbours are pairs: whoever crosses an edge inside of the beam
-//! leaves as many pieces as he enters, and of a beam without the points where edges end any two directions are
-//! joined. So the pieces cover it once if one direction of a piece is in no other one.
+//! A triangle is clipped by the beam, and so are its neighbours across the edges that are left inside, and
+//! theirs. If each such edge has, as seen from the viewpoint, its triangle on one side and the neighbour on
+//! the other, the pieces cover all of the beam equally often. For neighbours are pairs: whoever crosses an
+//! edge inside of the beam leaves as many pieces as he enters, and of a beam without the points where edges
+//! end any two directions are joined. So the pieces cover it once if one direction of a piece is in no other
+//! one.
 
 use super::areas::unit;
 use super::beam::{self, Edge, Ring};
@@ -67,6 +69,9 @@ pub(super) struct End {
     pub b: u32,
 }
 
+/// The longest end so far, with the square of its length.
+type Longest = Option<(f64, End)>;
+
 /// How a patch grew.
 pub(super) enum Grown {
     /// It covers the beam once.
@@ -85,8 +90,8 @@ impl Search<'_> {
             return Grown::No;
         }
         // The longest of the edges at which it ends, and of those at which it is too large.
-        let (mut end, mut limit): (Option<(f64, End)>, Option<(f64, End)>) = (None, None);
-        let longest = |best: &mut Option<(f64, End)>, length: f64, at: End| {
+        let (mut end, mut limit): (Longest, Longest) = (None, None);
+        let longest = |best: &mut Longest, length: f64, at: End| {
             if best.is_none_or(|b| b.0 < length) {
                 *best = Some((length, at));
             }

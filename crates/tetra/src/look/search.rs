@@ -164,8 +164,8 @@ impl Search<'_> {
         }
     }
 
-    /// The square of how far away the cap is at most in a beam: infinite without a cap, and where cells answer,
-    /// whose keys are no bounds. The sieve leaves out what is behind the cap from now on.
+    /// The square of how far away the cap is at most in a beam: infinite without a cap, and where cells
+    /// answer, whose keys are no bounds. The sieve leaves out what is behind the cap from now on.
     fn sift(&mut self, beam: &Beam, cap: Option<&Facing>) -> f64 {
         if self.scene.space.is_some() {
             return f64::INFINITY;

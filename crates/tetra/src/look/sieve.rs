@@ -1,9 +1,9 @@
 //! Which boxes and triangles a beam does not meet, in single precision and for four planes at a time.
 //!
 //! A plane is kept as a normal n and a number c, so that n · (p − x) + c is negative for what is on its outer
-//! side: c is 0 for a side of the beam, and the plane's distance for a cap. Coordinates are scaled by a power of
-//! two that brings the scene's below 1, so nothing overflows. Bounds on all roundings are added to the left
-//! side: what is left out is left out for certain, and what is kept may still be outside.
+//! side: c is 0 for a side of the beam, and the plane's distance for a cap. Coordinates are scaled by a power
+//! of two that brings the scene's below 1, so nothing overflows. Bounds on all roundings are added to the
+//! left side: what is left out is left out for certain, and what is kept may still be outside.
 
 use glam::{DVec3, Vec3, Vec4};
 
@@ -37,9 +37,9 @@ pub struct Sieve {
     scale: f64,
 }
 
-/// A normal's components are below 2, and at most 1 + 2⁻²³ after the scaling are coordinates. Single precision
-/// rounds each of them, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 3 + 6 · 3 < 40 such parts. This is
-/// 64 of them.
+/// A normal's components are below 2, and at most 1 + 2⁻²³ after the scaling are coordinates. Single
+/// precision rounds each of them, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 3 + 6 · 3 < 40 such
+/// parts. This is 64 of them.
 const ROUNDED: f64 = 1.0 / (1u64 << 18) as f64;
 /// More than what underflow can take away from a few products.
 const TINY: f64 = 1e-36;
@@ -101,8 +101,8 @@ impl Sieve {
             || !self.patch.is_empty() && self.patch.iter().all(|g| most(g).cmplt(Vec4::ZERO).all())
     }
 
-    /// Nothing where all of a triangle is outside of the beam or behind its cap, or behind all of its patch; else
-    /// the pieces of the patch that it is behind, a bit each.
+    /// Nothing where all of a triangle is outside of the beam or behind its cap, or behind all of its patch;
+    /// else the pieces of the patch that it is behind, a bit each.
     #[inline]
     pub fn behind(&self, points: [[f64; 3]; 3]) -> Option<u64> {
         let [a, b, c] = points.map(|p| self.way(p.into()));
@@ -129,8 +129,8 @@ impl Sieve {
     }
 }
 
-/// Adds a plane to the last group, or to a new one whose other planes have nothing on their outer sides (`fill`
-/// positive) or everything.
+/// Adds a plane to the last group, or to a new one whose other planes have nothing on their outer sides
+/// (`fill` positive) or everything.
 fn add(groups: &mut Vec<Group>, count: &mut usize, fill: f32, n: ([f64; 3], f64), c: (f64, f64)) {
     let lane = *count % LANES;
     if lane == 0 {

@@ -1,9 +1,9 @@
 //! Which corners are on which planes for a reason, so that no integers are needed to see that a sign is 0.
 //!
-//! Surfaces share points and edges, and walls are parallel, so nearly all signs that doubles leave open are 0.
-//! What follows are implications, never guesses. For a face f whose plane does not hold the viewpoint, let w(f)
-//! be the linear form on directions that is 1 at each of its points: one over how far away its plane is. The
-//! plane of a meet of f and g is where w(f) = w(g); that of an edge is spanned by its two points.
+//! Surfaces share points and edges, and walls are parallel, so nearly all signs that doubles leave open are
+//! 0. What follows are implications, never guesses. For a face f whose plane does not hold the viewpoint, let
+//! w(f) be the linear form on directions that is 1 at each of its points: one over how far away its plane is.
+//! The plane of a meet of f and g is where w(f) = w(g); that of an edge is spanned by its two points.
 
 use super::eye::Eye;
 use super::planes::{Corner, Kind, NONE, Planes};
