@@ -1,6 +1,7 @@
 //! Solid angles of beams, also of the part of a beam within round cones.
 
 use super::beam::Edge;
+use super::rounded::unit;
 
 type V = [f64; 3];
 
@@ -10,12 +11,6 @@ fn dot(a: V, b: V) -> f64 {
 
 fn cross(a: V, b: V) -> V {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// The vector with length 1.
-pub fn unit(v: V) -> V {
-    let length = dot(v, v).sqrt();
-    v.map(|c| c / length)
 }
 
 /// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a

@@ -6,8 +6,8 @@
 //! because beams begin as octants.
 
 use super::eye::Eye;
-use super::planes::{Corner, Kind, Plane, Planes, Side};
-use super::rounded::Rounded;
+use super::planes::{Corner, Facing, Kind, Plane, Planes, Side};
+use super::rounded::{BOUND, Rounded, unit};
 
 /// A corner of a ring and the side of the border from it to the next corner.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +118,7 @@ pub fn cut(
 /// A direction inside of a beam, which no rounding has put outside; nothing if no double near the middle is
 /// certainly inside.
 pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
-    let way = Rounded::exact(super::boxes::middle(ring)).scaled();
+    let way = Rounded::exact(center(ring)).scaled();
     let way = Rounded::exact(way.v);
     let inside = ring.iter().all(|e| way.dot(&planes.normal(e.side)).sign() == Some(1));
     inside.then_some(way.v)
@@ -127,10 +127,6 @@ pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
 /// The widths of a beam as sines: the least distance between two parallel great circles around it, and the
 /// largest distance between two corners. Rounded: they decide what an angle leaves out, never what is seen.
 pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
-    let unit = |v: [f64; 3]| {
-        let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
-        v.map(|c| c / length)
-    };
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let mut narrow = f64::INFINITY;
     let mut wide = 0.0f64;
@@ -147,4 +143,39 @@ pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
         narrow = narrow.min(far);
     }
     (narrow, wide.sqrt())
+}
+
+/// A direction near the middle of a ring, rounded, of any length.
+pub fn center(ring: &[Edge]) -> [f64; 3] {
+    let mut sum = [0.0; 3];
+    for edge in ring {
+        let way = unit(edge.corner.way.v);
+        (0..3).for_each(|k| sum[k] += way[k]);
+    }
+    sum
+}
+
+/// The square of the radius of a beam around the middle of its corners, at distance 1, rounded.
+pub fn radius(ring: &[Edge]) -> f64 {
+    let middle = unit(center(ring));
+    ring.iter().fold(0.0f64, |most, e| {
+        let way = unit(e.corner.way.v);
+        most.max((0..3).fold(0.0, |sum, k| sum + (way[k] - middle[k]) * (way[k] - middle[k])))
+    })
+}
+
+/// The square of how far away a face is at most in a beam, with what rounding may add.
+pub fn reach(ring: &[Edge], face: &Facing) -> f64 {
+    // The part of the plane in the beam is convex, so a corner is its farthest place.
+    ring.iter().fold(0.0, |most: f64, edge| {
+        let way = &edge.corner.way;
+        let along = face.normal.dot(way);
+        let least = along.value - along.error;
+        if least <= 0.0 {
+            return f64::INFINITY;
+        }
+        let size = way.v.iter().fold(0.0, |sum, c| sum + (c.abs() + way.error) * (c.abs() + way.error));
+        let times = (face.height.value + face.height.error) / least;
+        most.max(times * times * size * (1.0 + BOUND))
+    })
 }

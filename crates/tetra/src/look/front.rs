@@ -9,11 +9,11 @@
 
 use crate::surfaces::BLOCKS;
 
-use super::beam::{self, Place};
-use super::boxes::{near, reach};
+use super::beam::{self, Place, reach};
 use super::meeting::keep;
 use super::outline::{Order, Outline, order};
-use super::patch::{End, Grown, Patch};
+use super::patch::{End, Grown};
+use super::pieces::Patch;
 use super::planes::{Facing, Side};
 use super::scratch::Scratch;
 use super::search::Search;
@@ -118,7 +118,7 @@ impl Search<'_> {
             open.push(entry.first);
             while let Some(number) = open.pop() {
                 let node = &self.scene.nodes[number as usize];
-                if near(node, self.eye.x) > far
+                if node.near(self.eye.x) > far
                     || self.scratch.sieve.stops(node.low, node.high)
                     || self.limits.beyond(self.eye.x, node.low, node.high)
                 {

@@ -5,7 +5,7 @@
 
 use crate::surfaces::BLOCKS;
 
-use super::boxes::middle;
+use super::beam::center;
 use super::planes::Facing;
 use super::search::Search;
 use super::stack::Beam;
@@ -34,7 +34,7 @@ impl Search<'_> {
     /// The blocking triangle that the line through a beam's middle meets first, nearer than the cap, among
     /// those that wait.
     pub(super) fn guess(&mut self, beam: &Beam, cap: Option<&Facing>) -> Option<u32> {
-        let way = middle(&beam.ring);
+        let way = center(&beam.ring);
         // What is as far away as the cap is the cap, or as good.
         let most = cap.map_or(f64::INFINITY, |cap| cap.height.value / dot(cap.normal.v, way) * (1.0 - 1e-9));
         let mut ray = Ray { x: self.eye.x, way, inverse: way.map(|c| 1.0 / c), most, found: None };

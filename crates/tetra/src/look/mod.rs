@@ -13,6 +13,7 @@ mod meeting;
 pub(crate) mod neighbours;
 mod outline;
 mod patch;
+mod pieces;
 mod planes;
 mod rounded;
 mod scratch;

@@ -8,58 +8,18 @@
 //! end any two directions are joined. So the pieces cover it once if one direction of a piece is in no other
 //! one.
 
-use super::areas::unit;
-use super::beam::{self, Edge, Ring};
+use super::beam::{self, Edge};
 use super::neighbours::{NONE, across};
 use super::outline::Outline;
+use super::pieces::Patch;
 use super::planes::Facing;
-use super::rounded::Rounded;
+use super::rounded::{Rounded, unit};
 use super::scratch::Scratch;
 use super::search::Search;
 use super::stack::Beam;
 
 /// Most pieces of a patch. The sieve has a bit for each.
 const MOST: usize = 32;
-
-/// A triangle of a patch.
-pub(super) struct Piece {
-    /// The triangle.
-    pub triangle: u32,
-    /// Its plane.
-    pub facing: Facing,
-    /// The part of the beam that it covers.
-    pub ring: Ring,
-}
-
-/// Pieces, and memory for more.
-#[derive(Default)]
-pub(super) struct Patch {
-    kept: Vec<Piece>,
-    count: usize,
-}
-
-impl Patch {
-    /// The pieces.
-    pub fn pieces(&self) -> &[Piece] {
-        &self.kept[..self.count]
-    }
-
-    /// Forgets them.
-    pub fn clear(&mut self) {
-        self.count = 0;
-    }
-
-    fn push(&mut self, triangle: u32, facing: Facing, ring: &[Edge]) {
-        if self.count == self.kept.len() {
-            self.kept.push(Piece { triangle, facing, ring: Ring::new() });
-        }
-        let piece = &mut self.kept[self.count];
-        (piece.triangle, piece.facing) = (triangle, facing);
-        piece.ring.clear();
-        piece.ring.extend_from_slice(ring);
-        self.count += 1;
-    }
-}
 
 /// Where a patch ends in a beam: at the edge from `a` to `b` of a triangle's front order.
 #[derive(Clone, Copy)]
@@ -97,9 +57,9 @@ impl Search<'_> {
             }
         };
         let mut number = 0;
-        while number < patch.count && end.is_none() {
-            for k in 0..patch.kept[number].ring.len() {
-                let piece = &patch.kept[number];
+        while number < patch.pieces().len() && end.is_none() {
+            for k in 0..patch.pieces()[number].ring.len() {
+                let piece = &patch.pieces()[number];
                 let edge = &piece.ring[k];
                 if beam.ring.iter().any(|e| e.side == edge.side) {
                     continue;
@@ -114,7 +74,9 @@ impl Search<'_> {
                 let facing = known.or_else(|| if other == NONE { None } else { self.facing(other) });
                 if !facing.is_some_and(|facing| has_edge(&facing, b, a)) {
                     longest(&mut end, length, at);
-                } else if known.is_none() && (patch.count == MOST || !self.add_piece(beam, other, patch)) {
+                } else if known.is_none()
+                    && (patch.pieces().len() == MOST || !self.add_piece(beam, other, patch))
+                {
                     longest(&mut limit, length, at);
                 }
             }

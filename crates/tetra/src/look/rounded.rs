@@ -8,6 +8,15 @@
 /// Half a unit in the last place of 1.
 pub const U: f64 = f64::EPSILON / 2.0;
 
+/// A part by which bounds on distances are moved: far more than their few roundings.
+pub const BOUND: f64 = 1e-12;
+
+/// The vector with length 1, without a bound.
+pub fn unit(v: [f64; 3]) -> [f64; 3] {
+    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    v.map(|c| c / length)
+}
+
 /// A vector and a bound on the error of each of its components.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Rounded {

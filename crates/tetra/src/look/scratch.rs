@@ -1,7 +1,7 @@
 //! Memory that queries use again.
 
 use super::beam::Ring;
-use super::patch::Patch;
+use super::pieces::Patch;
 use super::planes::Planes;
 use super::rounded::Rounded;
 use super::sieve::Sieve;

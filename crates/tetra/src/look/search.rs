@@ -11,8 +11,7 @@
 use crate::surfaces::BLOCKS;
 
 use super::areas::area;
-use super::beam::{self, Place};
-use super::boxes::reach;
+use super::beam::{self, Place, reach};
 use super::eye::Eye;
 use super::hierarchy::Node;
 use super::planes::{Facing, Side};

@@ -1,9 +1,9 @@
 //! The round cone and the distance that limit a view.
 
-use super::areas::{Cone, area, area_within, unit};
+use super::areas::{Cone, area, area_within};
 use super::beam::Edge;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
-use super::rounded::Rounded;
+use super::rounded::{Rounded, unit};
 use super::view::View;
 
 /// The limits of a view.
