@@ -52,7 +52,7 @@ pub fn answer<L: DeserializeOwned, Q>(
             medians.nanos.add(answer.nanos);
             medians.count.add(answer.count);
             if let Err(e) = print(&answer.line.to_string()) {
-                break 'all Err(e);
+                return (Err(e), medians);
             }
         }
         match failure {
@@ -70,8 +70,8 @@ pub fn answer<L: DeserializeOwned, Q>(
 /// Numbers below 2^EXACT are counted one by one; each power of two above has so many steps.
 const EXACT: u32 = 10;
 
-/// The median of any number of numbers, in memory that does not grow with them: exact up to 1024, and within
-/// one part in 1024 above.
+/// The median of any number of numbers, in memory that does not grow with them: exact up to 2047, and within
+/// one part in 1024.
 #[derive(Default)]
 pub struct Median {
     /// Numbers by step.

@@ -51,6 +51,7 @@ fn altered_files_are_refused_or_harmless() {
                 0 => u32::MAX,
                 1 => random.below(64) as u32,
                 2 => 1 << random.below(32),
+                3 => f32::to_bits([f32::INFINITY, f32::NEG_INFINITY, f32::NAN][random.below(3)]),
                 _ => f32::to_bits(NUMBERS[random.below(NUMBERS.len())]),
             };
             bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());

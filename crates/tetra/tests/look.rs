@@ -170,6 +170,54 @@ fn doubled_and_overlapping_triangles_are_all_listed_and_the_least_has_the_area()
 }
 
 #[test]
+fn doubled_triangles_leave_nothing_undecided_in_the_conservative_mode() {
+    let t = [[-9.0, -9.0, 1.0], [9.0, -9.0, 1.0], [0.0, 9.0, 1.0]];
+    let back = [t[0], t[2], t[1]];
+    let view = View { witnesses: true, ..View::default() };
+    let exact = look(&[t, back, t], [0.0; 3]);
+    assert_eq!(exact.visible, [0, 1, 2]);
+    for angle in [PI, 0.5, 0.01] {
+        let seen = look_as(&[t, back, t], [0.0; 3], &view, Mode::Conservative(angle));
+        assert_eq!(seen.visible, [0, 1, 2]);
+        // Beams across the border of the triangle are undecided, and those within it are not.
+        assert!(seen.areas[0] + seen.dropped >= exact.areas[0] - 1e-12);
+        assert!(angle > 0.1 || seen.dropped < 0.2, "{angle}: {}", seen.dropped);
+        assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
+    }
+}
+
+/// So near to a corner that products of the ways to the others underflow.
+#[test]
+fn a_point_at_the_least_distance_from_a_corner_sees_what_one_nearby_sees() {
+    let t = [[0.0, 0.0, 0.0], [0.375, 0.625, 0.0], [0.5625, 0.0, 0.9375]];
+    let near = look(&[t], [1e-100; 3]);
+    for x in [5e-324, 1e-320, 1e-300, 1e-200] {
+        let seen = look(&[t], [x; 3]);
+        assert_eq!(seen.visible, near.visible, "{x}");
+        assert!((seen.areas[0] - near.areas[0]).abs() < 1e-12, "{x}: {:?} {:?}", seen.areas, near.areas);
+    }
+}
+
+/// Seen from far away, boxes are left out as from nearby: their number for a beam does not grow with the
+/// scene.
+#[test]
+fn a_scene_far_away_is_not_gone_through_for_every_beam() {
+    let crowd: Vec<_> = (0..3000u16)
+        .map(|k| {
+            let part = |by: f32| (f32::from(k) * by).fract();
+            let p = [part(0.7548), part(0.5698), part(0.3247)];
+            [p, [p[0], p[1] + 0.01, p[2]], [p[0], p[1], p[2] + 0.01]]
+        })
+        .collect();
+    let boxes_a_beam = |x: f64| {
+        let seen = look(&crowd, [x, 0.1, 0.2]);
+        seen.cells as f64 / seen.beams as f64
+    };
+    let (near, far) = (boxes_a_beam(5.0), boxes_a_beam(3e5));
+    assert!(far < 4.0 * near, "{near} boxes a beam nearby, {far} far away");
+}
+
+#[test]
 fn crossing_rectangles_hide_half_of_each_other() {
     let mut all = Vec::new();
     all.extend(quad([-1.0, -1.0, 2.0], [1.0, -1.0, 4.0], [1.0, 1.0, 4.0], [-1.0, 1.0, 2.0]));

@@ -3,6 +3,7 @@
 use crate::surfaces::{BLOCKS, SHOWS};
 
 use super::beam::{self, Place};
+use super::outline::Outline;
 use super::planes::Facing;
 use super::scratch::Scratch;
 use super::search::Search;
@@ -59,7 +60,10 @@ impl Search<'_> {
         let shows = self.flags(triangle) & SHOWS != 0;
         let Some(facing) = self.facing(triangle) else { return false };
         if beam.whole {
-            let seen = self.against(beam, cap, &facing).0 != Place::Outside;
+            let outline = Outline::of(&self.eye, self.points(triangle));
+            let planes = &mut self.scratch.planes;
+            let is_beside = outline.is_some_and(|o| o.is_beside(planes, &self.eye, &beam.ring));
+            let seen = !is_beside && self.against(beam, cap, &facing).0 != Place::Outside;
             if seen && shows {
                 self.scratch.tally.see(triangle);
             }

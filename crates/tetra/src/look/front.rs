@@ -2,10 +2,11 @@
 //! cutting it in two.
 //!
 //! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which
-//! it does: there a surface ends or turns away, so something else is seen beyond. If it covers the beam, all
-//! that waits is compared with it. A triangle in front of it begins the next patch; one that goes through it
-//! cuts the beam along the line where both meet; one in its plane is left to [`super::meeting`]. What is
-//! behind a patch that covers the beam is forgotten for all parts of the beam.
+//! it does: most often a surface ends there or turns away, and something else is seen beyond. If it covers
+//! the beam, all that waits is compared with it. A triangle in front of it begins the next patch; one that
+//! goes through it cuts the beam along the line where both meet; one with the points of a piece is seen with
+//! it, and another one in its plane is left to [`super::meeting`]. What is behind a patch that covers the
+//! beam is forgotten for all parts of the beam.
 
 use crate::surfaces::BLOCKS;
 
@@ -78,7 +79,8 @@ impl Search<'_> {
         let covered = matches!(self.grow(beam, seed, &mut patch), Grown::Covers);
         if covered {
             // All that may be in front of it counts as seen.
-            self.in_front(beam, &patch, far(&patch));
+            let far = far(&patch);
+            self.in_front(beam, &mut patch, far);
             self.end_patch(beam, &patch);
         }
         self.scratch.planes.list.truncate(made);
@@ -99,7 +101,7 @@ impl Search<'_> {
     /// A triangle of those that wait of which some is in front of a patch, and blocks; `far` is the square of
     /// how far away the patch is at most. See-through ones are kept in `beam.met`, and all if the beam is cut
     /// no more.
-    fn in_front(&mut self, beam: &mut Beam, patch: &Patch, far: f64) -> Option<(u32, Order)> {
+    fn in_front(&mut self, beam: &mut Beam, patch: &mut Patch, far: f64) -> Option<(u32, Order)> {
         let Scratch { sieve, planes, .. } = &mut *self.scratch;
         sieve.of(planes, &beam.ring, None);
         patch.pieces().iter().for_each(|piece| sieve.patch(&piece.facing));
@@ -142,7 +144,7 @@ impl Search<'_> {
     fn leaf_in_front(
         &mut self,
         beam: &mut Beam,
-        patch: &Patch,
+        patch: &mut Patch,
         first: u32,
         count: u32,
     ) -> Option<(u32, Order)> {
@@ -158,7 +160,8 @@ impl Search<'_> {
             if outline.is_beside(planes, &self.eye, &beam.ring) {
                 continue;
             }
-            let mut place = Order::Hidden;
+            let blocks = self.scene.flags[triangle as usize] & BLOCKS != 0;
+            let (mut place, mut twin) = (Order::Hidden, None);
             if patch.pieces().is_empty() {
                 let made = planes.list.len();
                 if outline.clip(planes, &self.eye, &beam.ring, rings) {
@@ -166,20 +169,21 @@ impl Search<'_> {
                 }
                 planes.list.truncate(made);
             }
-            for (n, piece) in patch.pieces().iter().enumerate() {
-                if behind >> n & 1 == 0 {
-                    place = order(planes, &self.eye, (&piece.ring, &piece.facing), &outline, rings);
-                    if !matches!(place, Order::Hidden) {
-                        break;
-                    }
+            for (n, piece) in patch.pieces().iter().enumerate().filter(|(n, _)| behind >> n & 1 == 0) {
+                if blocks && piece.facing.has_points_of(&outline.facing) {
+                    twin = Some(n);
+                    continue;
+                }
+                place = order(planes, &self.eye, (&piece.ring, &piece.facing), &outline, rings);
+                if !matches!(place, Order::Hidden) {
+                    break;
                 }
             }
-            match place {
-                Order::Hidden => {}
-                _ if beam.whole || self.scene.flags[triangle as usize] & BLOCKS == 0 => {
-                    beam.met.push(triangle)
-                }
-                place => return Some((triangle, place)),
+            match (place, twin) {
+                (Order::Hidden, Some(piece)) => patch.add_twin(piece, triangle),
+                (Order::Hidden, None) => {}
+                _ if beam.whole || !blocks => beam.met.push(triangle),
+                (place, _) => return Some((triangle, place)),
             }
         }
         None
@@ -204,11 +208,11 @@ impl Search<'_> {
             return;
         }
         let beams = self.scratch.seen.beams + 1;
-        for piece in patch.pieces() {
+        for (n, piece) in patch.pieces().iter().enumerate() {
             beam.ring.clear();
             beam.ring.extend_from_slice(&piece.ring);
             beam.caps.clear();
-            beam.caps.push(piece.triangle);
+            beam.caps.extend(patch.triangles_of(n));
             self.end(beam, Some(&piece.facing));
         }
         self.scratch.seen.beams = beams;

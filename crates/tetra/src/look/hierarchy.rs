@@ -21,7 +21,7 @@ pub struct Node {
 }
 
 impl Node {
-    /// The square of how far away the box is at least, but for a few roundings of one part in 2⁵³ each.
+    /// The square of how far away the box is at least.
     pub(super) fn near(&self, x: [f64; 3]) -> f64 {
         let sum = (0..3).fold(0.0, |sum, k| {
             let d = (f64::from(self.low[k]) - x[k]).max(x[k] - f64::from(self.high[k])).max(0.0);
@@ -85,6 +85,9 @@ impl Boxes<'_> {
         let mut in_leaves = 0usize;
         for (i, node) in self.nodes.iter().enumerate() {
             let bad = |what: &str| Err(format!("box {i} {what}"));
+            if !node.low.iter().chain(&node.high).all(|c| c.is_finite()) {
+                return bad("has a bound that is not a finite number");
+            }
             let holds = |low: &[f32; 3], high: &[f32; 3]| {
                 (0..3).all(|k| node.low[k] <= low[k] && high[k] <= node.high[k])
             };

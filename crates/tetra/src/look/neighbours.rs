@@ -19,12 +19,12 @@ fn counts(flags: u8) -> bool {
 
 /// An edge of a triangle: its points in order, the triangle, and which of its edges it is. It starts at the
 /// corner of that number.
-type Side = (u32, u32, u32, u8);
+type EdgeOf = (u32, u32, u32, u8);
 
 /// For each triangle what is across the edge from each corner to the next one, or [`NONE`].
 pub fn neighbours(surfaces: SurfacesView<'_>) -> Vec<[u32; 3]> {
     let triangles = surfaces.triangles;
-    let mut sides: Vec<Side> = Vec::new();
+    let mut sides: Vec<EdgeOf> = Vec::new();
     for (t, points) in (0u32..).zip(triangles).filter(|(t, _)| counts(surfaces.flags[*t as usize])) {
         for k in 0..3u8 {
             let (a, b) = (points[usize::from(k)], points[(usize::from(k) + 1) % 3]);
@@ -34,13 +34,13 @@ pub fn neighbours(surfaces: SurfacesView<'_>) -> Vec<[u32; 3]> {
     sides.sort_unstable();
     let mut across = vec![[NONE; 3]; triangles.len()];
     for group in sides.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        let start = |s: &Side| triangles[s.2 as usize][usize::from(s.3)];
-        let third = |s: &Side| triangles[s.2 as usize][(usize::from(s.3) + 2) % 3];
+        let start = |s: &EdgeOf| triangles[s.2 as usize][usize::from(s.3)];
+        let third = |s: &EdgeOf| triangles[s.2 as usize][(usize::from(s.3) + 2) % 3];
         for turned in [false, true] {
             for (at, own) in group.iter().enumerate() {
-                let is_free = |s: &Side| across[s.2 as usize][usize::from(s.3)] == NONE;
+                let is_free = |s: &EdgeOf| across[s.2 as usize][usize::from(s.3)] == NONE;
                 let fits =
-                    |s: &&Side| is_free(s) && third(s) != third(own) && (turned || start(s) != start(own));
+                    |s: &&EdgeOf| is_free(s) && third(s) != third(own) && (turned || start(s) != start(own));
                 let next = &group[at + 1..group.len().min(at + 1 + SEARCHED)];
                 if let Some(other) = next.iter().find(fits).filter(|_| is_free(own)) {
                     across[own.2 as usize][usize::from(own.3)] = other.2;

@@ -3,10 +3,10 @@
 //!
 //! A triangle is clipped by the beam, and so are its neighbours across the edges that are left inside, and
 //! theirs. If each such edge has, as seen from the viewpoint, its triangle on one side and the neighbour on
-//! the other, the pieces cover all of the beam equally often. For neighbours are pairs: whoever crosses an
-//! edge inside of the beam leaves as many pieces as he enters, and of a beam without the points where edges
-//! end any two directions are joined. So the pieces cover it once if one direction of a piece is in no other
-//! one.
+//! the other, the pieces cover all of the beam equally often: neighbours are pairs, so a path that crosses an
+//! edge inside of the beam leaves as many pieces as it enters, and any two directions are joined by a path
+//! that avoids the points where edges end. The pieces cover the beam once if one direction of a piece is in
+//! no other one.
 
 use super::beam::{self, Edge};
 use super::neighbours::{NONE, across};

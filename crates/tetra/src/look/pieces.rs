@@ -18,6 +18,8 @@ pub(super) struct Piece {
 pub(super) struct Patch {
     kept: Vec<Piece>,
     count: usize,
+    /// Triangles with the points of a piece, and the piece's place.
+    twins: Vec<(usize, u32)>,
 }
 
 impl Patch {
@@ -29,6 +31,18 @@ impl Patch {
     /// Forgets them.
     pub fn clear(&mut self) {
         self.count = 0;
+        self.twins.clear();
+    }
+
+    /// Adds a triangle with the same three points as a piece.
+    pub fn add_twin(&mut self, piece: usize, triangle: u32) {
+        self.twins.push((piece, triangle));
+    }
+
+    /// The triangles that cover a piece with the same three points: its own, and its twins.
+    pub fn triangles_of(&self, piece: usize) -> impl Iterator<Item = u32> {
+        let twins = self.twins.iter().filter(move |t| t.0 == piece).map(|t| t.1);
+        std::iter::once(self.pieces()[piece].triangle).chain(twins)
     }
 
     /// Adds a piece.

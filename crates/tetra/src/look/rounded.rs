@@ -1,12 +1,16 @@
 //! Vectors in doubles that know how far they may be from the truth.
 //!
 //! A bound is absolute and holds for each component. The rules follow from the standard model of
-//! floating-point arithmetic, with u = 2⁻⁵³ and nothing that overflows or underflows: coordinates are of
-//! single precision, vectors are scaled to a magnitude near 1 before they are multiplied again, and a product
-//! of five coordinates is within 2^±760.
+//! floating-point arithmetic, with u = 2⁻⁵³ and nothing that overflows: coordinates are of single precision,
+//! vectors are scaled to a magnitude near 1 before they are multiplied again, and a product of five
+//! coordinates is below 2⁷⁶⁰. A viewpoint can be so near to a point that products underflow: each loses less
+//! than [`LEAST`] then.
 
 /// Half a unit in the last place of 1.
 pub const U: f64 = f64::EPSILON / 2.0;
+
+/// More than what underflow takes away from a few products.
+const LEAST: f64 = f64::MIN_POSITIVE;
 
 /// A part by which bounds on distances are moved: far more than their few roundings.
 pub const BOUND: f64 = 1e-12;
@@ -82,7 +86,7 @@ impl Rounded {
         let (sa, sb) = (self.size(), b.size());
         let error = 2.0 * (sa * b.error + sb * self.error + self.error * b.error) + 6.0 * U * sa * sb;
         // The bound itself is rounded a few times.
-        Self { v, error: error * (1.0 + 8.0 * U) }
+        Self { v, error: error * (1.0 + 8.0 * U) + LEAST }
     }
 
     /// The scalar product: three products, each as above, and two sums.
@@ -92,7 +96,7 @@ impl Rounded {
         let value = x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
         let (sa, sb) = (self.size(), b.size());
         let error = 3.0 * (sa * b.error + sb * self.error + self.error * b.error) + 10.0 * U * sa * sb;
-        Number { value, error: error * (1.0 + 8.0 * U) }
+        Number { value, error: error * (1.0 + 8.0 * U) + LEAST }
     }
 
     /// The sign of the scalar product of two vectors whose components are below 2, if bounds leave no doubt.
@@ -117,7 +121,7 @@ impl Rounded {
             let (s, t) = (p.value.abs(), a.size());
             s * a.error + t * p.error + p.error * a.error + 3.0 * U * s * t
         };
-        Self { v, error: (part(p, a) + part(q, b)) * (1.0 + 8.0 * U) }
+        Self { v, error: (part(p, a) + part(q, b)) * (1.0 + 8.0 * U) + LEAST }
     }
 
     /// The same direction with a size in [1, 2): the factor is a power of two, so nothing is rounded.

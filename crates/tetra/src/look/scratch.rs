@@ -18,7 +18,7 @@ pub struct Scratch {
     pub(super) rings: Rings,
     pub(super) tally: Tally,
     pub(super) entered: Entered,
-    /// Boxes that may hold a triangle that holds the point.
+    /// Boxes that are open, in any search among them.
     pub(super) boxes: Vec<u32>,
     /// What the beam that is followed does not meet.
     pub(super) sieve: Sieve,

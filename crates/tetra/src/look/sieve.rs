@@ -7,8 +7,9 @@
 
 use glam::{DVec3, Vec3, Vec4};
 
-use super::beam::Edge;
+use super::beam::{Edge, radius};
 use super::planes::{Facing, Planes};
+use super::rounded::U;
 
 /// Planes that are tried together.
 const LANES: usize = 4;
@@ -24,9 +25,21 @@ struct Group {
     margin: Vec4,
 }
 
+/// A plane in doubles: its normal with a bound, its constant with what bounds add.
+#[derive(Clone, Copy, Debug)]
+struct Close {
+    normal: DVec3,
+    error: f64,
+    constant: f64,
+}
+
 /// The planes of a beam and its cap, or its patch.
 #[derive(Debug, Default)]
 pub struct Sieve {
+    /// The first list in doubles.
+    close: Vec<Close>,
+    /// Whether single precision is too coarse for the beam.
+    is_narrow: bool,
     /// What is outside of one of these is left out.
     bounds: Vec<Group>,
     bound_count: usize,
@@ -37,10 +50,12 @@ pub struct Sieve {
     scale: f64,
 }
 
-/// A normal's components are below 2, and at most 1 + 2⁻²³ after the scaling are coordinates. Single
+/// A normal's components are below 2, and scaled coordinates are at most 1 + 2⁻²³. Single
 /// precision rounds each of them, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 3 + 6 · 3 < 40 such
 /// parts. This is 64 of them.
 const ROUNDED: f64 = 1.0 / (1u64 << 18) as f64;
+/// Beams with a radius below this many radians are tried in doubles too.
+const NARROW: f64 = 16.0 * ROUNDED;
 /// More than what underflow can take away from a few products.
 const TINY: f64 = 1e-36;
 
@@ -57,9 +72,11 @@ impl Sieve {
         (self.bound_count, self.patch_count) = (0, 0);
         self.bounds.clear();
         self.patch.clear();
+        self.close.clear();
+        self.is_narrow = radius(ring) < NARROW * NARROW;
         for edge in ring {
             let n = planes.normal(edge.side);
-            add(&mut self.bounds, &mut self.bound_count, 1.0, (n.v, n.error), (0.0, 0.0));
+            self.bound((n.v, n.error), (0.0, 0.0));
         }
         if let Some(cap) = cap {
             self.cap(cap);
@@ -69,7 +86,17 @@ impl Sieve {
     /// Leaves out what is behind a cap from now on.
     pub fn cap(&mut self, cap: &Facing) {
         let (n, c) = self.scaled(cap);
+        self.bound(n, c);
+    }
+
+    fn bound(&mut self, n: ([f64; 3], f64), c: (f64, f64)) {
         add(&mut self.bounds, &mut self.bound_count, 1.0, n, c);
+        if self.is_narrow {
+            // As in single precision, with doubles' own roundings: of normals, coordinates, products and
+            // sums.
+            let constant = c.0 + c.1 + c.0.abs() * 64.0 * U + f64::MIN_POSITIVE;
+            self.close.push(Close { normal: n.0.into(), error: 4.0 * n.1 + 64.0 * U, constant });
+        }
     }
 
     /// Adds a face to the patch.
@@ -98,7 +125,18 @@ impl Sieve {
             x + y + z + (g.constant + g.margin * reach)
         };
         self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any())
+            || self.is_narrow && self.stops_closely(low, high)
             || !self.patch.is_empty() && self.patch.iter().all(|g| most(g).cmplt(Vec4::ZERO).all())
+    }
+
+    /// Whether all of a box is outside of the beam or behind its cap, in doubles.
+    fn stops_closely(&self, low: [f32; 3], high: [f32; 3]) -> bool {
+        let [near, far] = [low, high].map(|p| (Vec3::from(p).as_dvec3() - self.x) * self.scale);
+        let reach = near.abs().max(far.abs()).max_element();
+        self.close.iter().any(|plane| {
+            let most = (plane.normal * near).max(plane.normal * far).element_sum();
+            most + plane.constant + reach * plane.error < 0.0
+        })
     }
 
     /// Nothing where all of a triangle is outside of the beam or behind its cap, or behind all of its patch;

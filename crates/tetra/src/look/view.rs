@@ -63,7 +63,7 @@ pub struct Seen {
     /// Solid angle in which the first triangle blocks and does not show.
     pub unseen: f64,
     /// Solid angle that was not decided: dropped beams, and in the conservative mode beams that nothing
-    /// covers whole.
+    /// covers whole, or in which something may be in front of what does.
     pub dropped: f64,
     /// Cells that were entered, once for a beam and all its parts, or boxes.
     pub cells: u64,

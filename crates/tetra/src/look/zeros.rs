@@ -26,7 +26,8 @@ impl Planes {
     }
 }
 
-/// Whether two kinds are known to name one plane, if the second one is a plane.
+/// Whether two kinds are known to name one plane; `other` is a side of a corner. If `kind` is no plane, its
+/// sign is 0 anyway.
 fn same(eye: &Eye<'_>, other: Kind, kind: Kind) -> bool {
     match (kind, other) {
         // Both forms are 1 at both points.
@@ -49,7 +50,7 @@ fn holds(eye: &Eye<'_>, kind: Kind, p: u32) -> bool {
     }
 }
 
-/// Whether a point is in the direction in which the first two planes meet, and in the third one.
+/// Whether a point is in the direction in which the first two planes meet, and in the third plane.
 fn is_at_a_point(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
     let both = |p: u32| holds(eye, first, p) && holds(eye, second, p);
     match kind {
