@@ -92,6 +92,7 @@ fn check(
     direction: [f64; 3],
     angle: f64,
     distance: f64,
+    rays: bool,
 ) -> Result<(), TestCaseError> {
     let tets = tets(triangles);
     let both = |view: &View| [Engine::Boxes, Engine::Cells].map(|engine| look(&tets, x, view, engine));
@@ -99,14 +100,16 @@ fn check(
     alike(&all, &by_cells)?;
     prop_assert!((total(&all) - 4.0 * PI).abs() < 1e-9, "{}", total(&all));
     let at = DVec3::from(x);
-    for k in 0..300 {
+    for k in (0..300).filter(|_| rays) {
         for id in shown(triangles, at, way(k, 300)).unwrap_or_default() {
             prop_assert!(all.visible.contains(&id), "a ray shows {}", id);
         }
     }
     for ((id, area), witness) in all.visible.iter().zip(&all.areas).zip(&all.witnesses) {
         prop_assert!(triangles[*id as usize].1 == Kind::Opaque || *area == 0.0);
-        if let Some(shown) = witness.and_then(|w| shown(triangles, at, DVec3::from(w).normalize())) {
+        if let Some(shown) =
+            witness.filter(|_| rays).and_then(|w| shown(triangles, at, DVec3::from(w).normalize()))
+        {
             prop_assert!(shown.contains(id), "the witness of {} shows {:?}", id, shown);
         }
     }
@@ -119,8 +122,21 @@ fn check(
     for view in &limited {
         let [boxes, cells] = both(view);
         let cap = if view.direction.is_some() { 2.0 * PI * (1.0 - (angle / 2.0).cos()) } else { 4.0 * PI };
-        prop_assert!((total(&boxes) - cap).abs() < 1e-9 && (total(&cells) - cap).abs() < 1e-9);
-        prop_assert!((boxes.sky - cells.sky).abs() < 1e-9 && (boxes.unseen - cells.unseen).abs() < 1e-9);
+        prop_assert!(
+            (total(&boxes) - cap).abs() < 1e-9 && (total(&cells) - cap).abs() < 1e-9,
+            "{} and {} of {}",
+            total(&boxes),
+            total(&cells),
+            cap
+        );
+        prop_assert!(
+            (boxes.sky - cells.sky).abs() < 1e-9 && (boxes.unseen - cells.unseen).abs() < 1e-9,
+            "sky {} and {}, unseen {} and {}",
+            boxes.sky,
+            cells.sky,
+            boxes.unseen,
+            cells.unseen
+        );
         for (one, other) in [(&boxes, &cells), (&cells, &boxes)] {
             for ((id, area), witness) in one.visible.iter().zip(&one.areas).zip(&one.witnesses) {
                 prop_assert!(all.visible.contains(id), "{} is seen in a part of the view alone", id);
@@ -169,7 +185,7 @@ proptest! {
     ) {
         let all: Vec<(T, Kind)> =
             all.into_iter().map(|(t, kind)| (t.map(|p| p.map(f32::from)), kind)).collect();
-        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance)?;
+        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance, true)?;
     }
 
     #[test]
@@ -180,7 +196,7 @@ proptest! {
         x in prop::array::uniform3(-5.0..5.0f64),
         (direction, angle, distance) in limits(),
     ) {
-        check(&all, x, direction, angle, distance)?;
+        check(&all, x, direction, angle, distance, true)?;
     }
 
     #[test]
@@ -191,6 +207,25 @@ proptest! {
         (direction, angle, distance) in limits(),
     ) {
         let all: Vec<(T, Kind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
-        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance)?;
+        check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance, true)?;
+    }
+
+    /// Near a triangle's plane beams are thinner than rounding, and rays in doubles do not tell which side the
+    /// point is on.
+    #[test]
+    fn kinds_are_seen_alike_from_places_that_are_nearly_in_triangles(
+        all in prop_oneof![few_points(), sheets()],
+        kinds in prop::collection::vec(kind(), 1..12),
+        (at, weights, push) in (any::<u16>(), prop::array::uniform3(0.05..1.0f64), -1e-9..1e-9f64),
+        (direction, angle, distance) in limits(),
+    ) {
+        let all: Vec<(T, Kind)> = all.into_iter().zip(kinds.into_iter().cycle()).collect();
+        prop_assume!(!all.is_empty());
+        let [a, b, c] = all[usize::from(at) % all.len()].0.map(|p| DVec3::from(p.map(f64::from)));
+        let sum: f64 = weights.iter().sum();
+        let x = (a * weights[0] + b * weights[1] + c * weights[2]) / sum;
+        // Most often by rounding alone.
+        let x = if push > 0.0 { x } else { x + DVec3::splat(push) };
+        check(&all, x.to_array(), direction, angle, distance, false)?;
     }
 }

@@ -1,5 +1,7 @@
 //! Solid angles of beams, also of the part of a beam within round cones.
 
+use std::f64::consts::PI;
+
 use super::beam::Edge;
 use super::rounded::unit;
 
@@ -32,6 +34,12 @@ pub fn area(ring: &[Edge]) -> f64 {
     sum.max(0.0)
 }
 
+/// Corners that are nearer to each other are one: some hundred roundings.
+const SHORTEST: f64 = 1e-14;
+
+/// Arcs that are this near to a whole circle may be none.
+const NEARLY: f64 = 1e-3;
+
 /// A round cone of directions around a unit vector.
 #[derive(Clone, Copy, Debug)]
 pub struct Cone {
@@ -51,23 +59,49 @@ struct Piece {
     circle: Option<usize>,
 }
 
-/// The solid angle of the part of a beam that is within all cones. With Gauss and Bonnet: 2π less the turns
-/// at the corners, less the curvature of the arcs, which on a circle is the cosine times the angle around its
-/// axis. At most two cones, none over a half space.
-pub fn area_within(ring: &[Edge], cones: &[Cone]) -> f64 {
-    let ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
+/// The solid angle of the part of a beam that is within all cones; nothing where there is no such part. With
+/// Gauss and Bonnet: 2π less the turns at the corners, less the curvature of the arcs, which on a circle is
+/// the cosine times the angle around its axis. At most two cones, none over a half space.
+///
+/// The part is in the beam, which is within an octant. So where a turn of nearly half a circle has the wrong
+/// sign, as in parts that are thinner than rounding, the whole turn that the sum is off by is taken away, and
+/// what is left is within the beam's own solid angle.
+pub fn area_within(ring: &[Edge], cones: &[Cone]) -> Option<f64> {
+    let mut ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
+    let holds = |cone: &Cone, w: &V| dot(*w, cone.axis) > cone.cosine;
+    if cones.iter().all(|cone| ways.iter().all(|w| holds(cone, w))) {
+        // Cones are convex.
+        return Some(area(ring));
+    }
+    // Between corners that are one but for rounding a border has no direction.
+    ways.dedup_by(|a, b| is_near(a, b));
+    while ways.len() > 1 && is_near(&ways[0], &ways[ways.len() - 1]) {
+        ways.pop();
+    }
+    if ways.len() < 3 {
+        return ways.iter().any(|w| cones.iter().all(|cone| holds(cone, w))).then_some(0.0);
+    }
     let mut border: Vec<Piece> = (0..ways.len())
         .map(|k| Piece { from: ways[k], to: ways[(k + 1) % ways.len()], circle: None })
         .collect();
     for number in 0..cones.len() {
-        let Some(cut) = within(&border, cones, number, |v| inside_ring(&ways, v)) else { return 0.0 };
-        border = cut;
+        border = within(&border, cones, number, |v| inside_ring(&ways, v))?;
     }
-    enclosed(&border, cones)
+    let turn = 2.0 * PI;
+    let sum = enclosed(&border, cones, |v| inside_ring(&ways, v)).rem_euclid(turn);
+    let sum = if sum > PI { sum - turn } else { sum };
+    // Not a number where the border is thinner than rounding everywhere.
+    Some(if sum.is_nan() { 0.0 } else { sum.clamp(0.0, area(ring)) })
 }
 
+/// Whether two directions are one but for rounding.
+fn is_near(a: &V, b: &V) -> bool {
+    (0..3).all(|k| (a[k] - b[k]).abs() < SHORTEST)
+}
+
+/// Whether a direction is in a ring, or on its border but for rounding: short edges have no exact planes.
 fn inside_ring(ways: &[V], v: V) -> bool {
-    (0..ways.len()).all(|k| dot(cross(ways[k], ways[(k + 1) % ways.len()]), v) > 0.0)
+    (0..ways.len()).all(|k| dot(cross(ways[k], ways[(k + 1) % ways.len()]), v) > -1e-15)
 }
 
 /// Positions along a piece, as parts of its whole, at which it crosses a cone's circle.
@@ -82,7 +116,7 @@ fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
     let (middle, half) = (libm::atan2(b, a), libm::acos(-c / size));
     let mut found: Vec<(f64, V)> = [middle - half, middle + half]
         .into_iter()
-        .map(|t| t.rem_euclid(2.0 * std::f64::consts::PI))
+        .map(|t| t.rem_euclid(2.0 * PI))
         .filter(|t| *t < angle)
         .map(|t| (t, std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k])))
         .collect();
@@ -105,9 +139,9 @@ fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
             let e: V = std::array::from_fn(|k| piece.from[k] - centre[k]);
             let f = cross(axis, e);
             let to: V = std::array::from_fn(|k| piece.to[k] - centre[k]);
-            let angle = libm::atan2(dot(f, to), dot(e, to)).rem_euclid(2.0 * std::f64::consts::PI);
+            let angle = libm::atan2(dot(f, to), dot(e, to)).rem_euclid(2.0 * PI);
             // A whole circle ends where it starts.
-            (centre, e, f, if piece.from == piece.to { 2.0 * std::f64::consts::PI } else { angle })
+            (centre, e, f, if piece.from == piece.to { 2.0 * PI } else { angle })
         }
     }
 }
@@ -126,7 +160,7 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
         stops.push((angle, piece.to));
         for pair in stops.windows(2) {
             // Between two crossings all of the piece is on one side.
-            if pair[1].0 > pair[0].0 && inside(at((pair[0].0 + pair[1].0) / 2.0)) {
+            if pair[1].0 - pair[0].0 > SHORTEST && inside(at((pair[0].0 + pair[1].0) / 2.0)) {
                 kept.push(Piece { from: pair[0].1, to: pair[1].1, circle: piece.circle });
             }
         }
@@ -147,7 +181,7 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
     for (k, piece) in kept.iter().enumerate() {
         closed.push(*piece);
         let next = &kept[(k + 1) % kept.len()];
-        if piece.to != next.from {
+        if !is_near(&piece.to, &next.from) {
             closed.push(Piece { from: piece.to, to: next.from, circle: Some(number) });
         }
     }
@@ -160,15 +194,20 @@ fn smallest_axis(v: V) -> V {
     std::array::from_fn(|k| f64::from(u8::from(k == least)))
 }
 
-/// The solid angle within a border.
-fn enclosed(border: &[Piece], cones: &[Cone]) -> f64 {
-    let mut sum = 2.0 * std::f64::consts::PI;
+/// The solid angle within a border, but for whole turns.
+fn enclosed(border: &[Piece], cones: &[Cone], holds: impl Fn(V) -> bool) -> f64 {
+    let mut sum = 2.0 * PI;
     for (k, piece) in border.iter().enumerate() {
-        let (_, e, f, angle) = frame(piece, cones);
+        let (centre, e, f, mut angle) = frame(piece, cones);
+        let last = border.len() == 1;
         if let Some(n) = piece.circle {
+            // From a place to nearly the same one it is all of the circle or nothing.
+            if !last && angle > 2.0 * PI - NEARLY {
+                let middle = std::array::from_fn(|j| centre[j] - e[j]);
+                angle -= if holds(middle) { 0.0 } else { 2.0 * PI };
+            }
             sum -= cones[n].cosine * angle;
         }
-        let last = border.len() == 1;
         if last && piece.from == piece.to {
             continue;
         }
@@ -179,5 +218,5 @@ fn enclosed(border: &[Piece], cones: &[Cone]) -> f64 {
         let (p, q) = (unit(leaving), unit(starting));
         sum -= libm::atan2(dot(piece.to, cross(p, q)), dot(p, q));
     }
-    sum.max(0.0)
+    sum
 }

@@ -15,13 +15,10 @@ impl Search<'_> {
         self.scratch.seen.beams += 1;
         let (whole, near) = self.limits.areas(&beam.ring, cap);
         if beam.caps.iter().any(|t| *t as usize >= self.scene.triangles.len()) {
-            self.of_faces += near;
+            self.of_faces += near.unwrap_or_default();
             return;
         }
-        let limited = self.limits.is_limited();
-        if limited && whole <= 0.0 {
-            return;
-        }
+        let Some(whole) = whole else { return };
         let mut undecided = false;
         for k in 0..beam.met.len() {
             let triangle = beam.met[k];
@@ -29,7 +26,7 @@ impl Search<'_> {
         }
         let Scratch { planes, tally, seen, .. } = &mut *self.scratch;
         let shows = |t: &&u32| self.scene.flags[**t as usize] & SHOWS != 0;
-        if !limited || near > 0.0 {
+        if let Some(near) = near {
             for t in beam.caps.iter().filter(shows) {
                 tally.see(*t);
                 if !undecided {
@@ -43,14 +40,11 @@ impl Search<'_> {
             seen.dropped += whole;
             return;
         }
-        seen.sky += whole - near;
-        match owner {
-            Some(t) if near > 0.0 => {
-                tally.see(*t);
-                tally.add(*t, near);
-            }
-            Some(_) => {}
-            None => seen.unseen += near,
+        seen.sky += (whole - near.unwrap_or_default()).max(0.0);
+        match (owner, near) {
+            (Some(t), Some(near)) => tally.add(*t, near),
+            (None, Some(near)) => seen.unseen += near,
+            (_, None) => {}
         }
     }
 
@@ -97,8 +91,8 @@ impl Search<'_> {
         }
         if seen {
             let near = self.limits.areas(&rings.inside, Some(&facing)).1;
-            seen = !self.limits.is_limited() || near > 0.0;
-            if seen && shows {
+            seen = near.is_some();
+            if let (Some(near), true) = (near, shows) {
                 tally.see(triangle);
                 let limits = &self.limits;
                 let way = || beam::middle(planes, &rings.inside).filter(|w| limits.hold(*w, Some(&facing)));

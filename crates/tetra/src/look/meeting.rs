@@ -183,7 +183,7 @@ pub(super) fn keep(
             if beam::widths(planes, ring).0 >= libm::sin(angle.min(std::f64::consts::FRAC_PI_2)) {
                 return Some(false);
             }
-            seen.dropped += limits.areas(ring, None).0;
+            seen.dropped += limits.areas(ring, None).0.unwrap_or_default();
             None
         }
         Mode::Conservative(angle) => {

@@ -65,44 +65,41 @@ impl Limits {
     }
 
     /// The solid angle of a beam within the cone, and of the part of that in which a face is nearer than the
-    /// distance.
-    pub fn areas(&self, ring: &[Edge], face: Option<&Facing>) -> (f64, f64) {
-        let whole = self.within(ring, &[]);
+    /// distance; nothing for parts that there are not.
+    pub fn areas(&self, ring: &[Edge], face: Option<&Facing>) -> (Option<f64>, Option<f64>) {
+        let whole = self.within(ring, None);
         let near = match (face, self.distance) {
-            (None, _) => 0.0,
+            (None, _) => None,
             (Some(_), None) => whole,
             (Some(face), Some(distance)) => {
                 let n = face.normal.v;
                 let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
                 let cosine = face.height.value / size / distance;
-                match cosine < 1.0 {
-                    true => self.within(ring, &[Cone { axis: unit(n), cosine: cosine.max(0.0) }]),
-                    false => 0.0,
-                }
+                let cone = Cone { axis: unit(n), cosine: cosine.max(0.0) };
+                (cosine < 1.0).then(|| self.within(ring, Some(cone))).flatten()
             }
         };
         (whole, near)
     }
 
     /// The solid angle of a beam within the view's cone and another one.
-    fn within(&self, ring: &[Edge], others: &[Cone]) -> f64 {
-        let of = |cones: &[Cone]| if cones.is_empty() { area(ring) } else { area_within(ring, cones) };
-        match (self.cone, others.first()) {
-            (None, _) => of(others),
-            (Some(cone), other) => {
-                let mut both = vec![cone];
-                both.extend(other);
-                if !self.complement {
-                    return of(&both);
-                }
-                // All of the beam in what is left out: a difference of rounded areas would not be 0.
-                let inside = |e: &Edge| {
-                    let way = unit(e.corner.way.v);
-                    way[0] * cone.axis[0] + way[1] * cone.axis[1] + way[2] * cone.axis[2] > cone.cosine
-                };
-                if ring.iter().all(inside) { 0.0 } else { (of(others) - of(&both)).max(0.0) }
-            }
+    fn within(&self, ring: &[Edge], other: Option<Cone>) -> Option<f64> {
+        let of = |cones: &[Cone]| if cones.is_empty() { Some(area(ring)) } else { area_within(ring, cones) };
+        let Some(cone) = self.cone else { return of(other.as_slice()) };
+        let both = [Some(cone), other].into_iter().flatten().collect::<Vec<_>>();
+        if !self.complement {
+            return of(&both);
         }
+        // All of the beam in what is left out: a difference of rounded areas would not be 0.
+        let inside = |e: &Edge| {
+            let way = unit(e.corner.way.v);
+            way[0] * cone.axis[0] + way[1] * cone.axis[1] + way[2] * cone.axis[2] > cone.cosine
+        };
+        if ring.iter().all(inside) {
+            return None;
+        }
+        let all = of(other.as_slice())?;
+        Some((all - of(&both).unwrap_or_default()).max(0.0))
     }
 
     /// Whether a direction is within the cone, and a face that it meets nearer than the distance.
@@ -115,11 +112,6 @@ impl Limits {
             _ => true,
         };
         in_cone && is_near
-    }
-
-    /// Whether anything limits the view.
-    pub fn is_limited(&self) -> bool {
-        self.cone.is_some() || self.distance.is_some()
     }
 
     /// Whether a box is farther away than the distance for certain.
