@@ -210,8 +210,8 @@ proptest! {
         check(&all, x.map(|c| f64::from(c) / 2.0), direction, angle, distance, true)?;
     }
 
-    /// Near a triangle's plane beams are thinner than rounding, and rays in doubles do not tell which side the
-    /// point is on.
+    /// Near a triangle's plane beams are thinner than rounding, and rays in doubles do not tell which side
+    /// the point is on.
     #[test]
     fn kinds_are_seen_alike_from_places_that_are_nearly_in_triangles(
         all in prop_oneof![few_points(), sheets()],
