@@ -160,6 +160,8 @@ fn bad_points_angles_and_files_are_refused() {
     altered[file.len() / 2] ^= 1;
     refused(&altered, "altered");
     sandbox.run("look none.tets --points good.jsonl").code(3).says("none.tets");
+    // A file that is neither.
+    sandbox.run("look good.jsonl --points good.jsonl").code(3).says("sightline tetra").says(".pvs");
     sandbox.ok("generate town --triangles 2000 --seed 2 -o other.glb");
     sandbox.run("tetra --check other.glb town.tets").code(3).says("another scene");
     let refusal: Value = {
