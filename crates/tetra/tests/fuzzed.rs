@@ -47,7 +47,7 @@ fn altered_files_are_refused_or_harmless() {
         let mut bytes = seed.clone();
         for _ in 0..1 + random.below(3) {
             let at = random.below(bytes.len() / 4) * 4;
-            let value = match random.below(4) {
+            let value = match random.below(5) {
                 0 => u32::MAX,
                 1 => random.below(64) as u32,
                 2 => 1 << random.below(32),

@@ -251,3 +251,21 @@ fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
     // The first and the last bin hold something, so both parts do.
     Some(middle)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_without_finite_bounds_is_refused() {
+        let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let surfaces = SurfacesView { points: &points, triangles: &[[0, 1, 2]], flags: &[BLOCKS | SHOWS] };
+        let good = Hierarchy::new(surfaces);
+        assert_eq!(good.view().check(surfaces), Ok(()));
+        for (low, high) in [(f32::NEG_INFINITY, 1.0), (0.0, f32::INFINITY), (f32::NAN, 1.0)] {
+            let mut bad = good.clone();
+            (bad.nodes[0].low[0], bad.nodes[0].high[0]) = (low, high);
+            assert!(bad.view().check(surfaces).is_err(), "{low} to {high}");
+        }
+    }
+}
