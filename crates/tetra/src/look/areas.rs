@@ -3,17 +3,7 @@
 use std::f64::consts::PI;
 
 use super::beam::Edge;
-use super::rounded::unit;
-
-type V = [f64; 3];
-
-fn dot(a: V, b: V) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: V, b: V) -> V {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
+use super::rounded::{V, cross, dot, unit};
 
 /// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a
 /// Plane Triangle", 1983).

@@ -7,18 +7,9 @@ use crate::surfaces::BLOCKS;
 
 use super::beam::center;
 use super::planes::Facing;
+use super::rounded::{V, cross, dot};
 use super::search::Search;
 use super::stack::Beam;
-
-type V = [f64; 3];
-
-fn dot(a: V, b: V) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: V, b: V) -> V {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
 
 /// A line from the viewpoint, and the first triangle on it so far.
 struct Ray {

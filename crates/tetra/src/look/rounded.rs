@@ -15,9 +15,22 @@ const LEAST: f64 = f64::MIN_POSITIVE;
 /// A part by which bounds on distances are moved: far more than their few roundings.
 pub const BOUND: f64 = 1e-12;
 
+/// A vector without a bound.
+pub type V = [f64; 3];
+
+/// The scalar product, without a bound.
+pub fn dot(a: V, b: V) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// The cross product, without a bound.
+pub fn cross(a: V, b: V) -> V {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
 /// The vector with length 1, without a bound.
-pub fn unit(v: [f64; 3]) -> [f64; 3] {
-    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+pub fn unit(v: V) -> V {
+    let length = dot(v, v).sqrt();
     v.map(|c| c / length)
 }
 

@@ -176,8 +176,10 @@ impl Search<'_> {
 
     /// Whether the sieve leaves out a triangle.
     fn is_sifted(&self, triangle: u32) -> bool {
-        let points = self.points(triangle).map(|p| self.eye.point(p));
-        self.scene.space.is_none() && self.scratch.sieve.behind(points).is_none()
+        self.scene.space.is_none() && {
+            let points = self.points(triangle).map(|p| self.eye.point(p));
+            self.scratch.sieve.behind(points).is_none()
+        }
     }
 
     /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part
