@@ -154,11 +154,13 @@ fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
 fn a_deleted_job_leaves_what_others_need() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    let _worker = coordinator.worker();
+    let worker = coordinator.worker();
     let small = |seed| format!("rooms.glb --cells 2x2x2 --seed {seed} --backend cpu");
     let [a, b] = [1, 2].map(|seed| coordinator.submit(&small(seed)));
     coordinator.finish(a);
     let kept = coordinator.finish(b);
+    // Without a worker nothing is added to the files while they are counted.
+    worker.kill();
     let open = coordinator.submit(&format!("{JOB} --seed 9"));
     coordinator.run(&format!("delete {open}")).code(4).says("cannot be deleted");
     let before = sandbox.files_below("data/blobs");
@@ -168,6 +170,7 @@ fn a_deleted_job_leaves_what_others_need() {
     coordinator.run(&format!("delete {a}")).code(4).says(&format!("job {a} is not known here"));
     coordinator.ok(&format!("fetch {b} -o again.pvs"));
     assert!(sandbox.read("again.pvs") == kept);
+    let _worker = coordinator.worker();
     // Submitted again it is another job, and gives the same.
     let again = coordinator.submit(&small(1));
     assert!(again > open);
