@@ -11,6 +11,7 @@
 use crate::surfaces::BLOCKS;
 
 use super::beam::{self, Place, reach};
+use super::beside::Edges;
 use super::meeting::keep;
 use super::outline::{Order, Outline, order};
 use super::patch::{End, Grown};
@@ -155,6 +156,10 @@ impl Search<'_> {
             if patch.pieces().iter().any(|p| p.triangle == triangle) || beam.met.contains(&triangle) {
                 continue;
             }
+            let edges = Edges::of(&self.eye, points);
+            if edges.as_ref().is_some_and(|edges| edges.are_beside(&beam.ring)) {
+                continue;
+            }
             let Some(outline) = Outline::of(&self.eye, points) else { continue };
             let Scratch { planes, rings, .. } = &mut *self.scratch;
             if outline.is_beside(planes, &self.eye, &beam.ring) {
@@ -172,6 +177,9 @@ impl Search<'_> {
             for (n, piece) in patch.pieces().iter().enumerate().filter(|(n, _)| behind >> n & 1 == 0) {
                 if blocks && piece.facing.has_points_of(&outline.facing) {
                     twin = Some(n);
+                    continue;
+                }
+                if edges.as_ref().is_some_and(|edges| edges.are_beside(&piece.ring)) {
                     continue;
                 }
                 place = order(planes, &self.eye, (&piece.ring, &piece.facing), &outline, rings);

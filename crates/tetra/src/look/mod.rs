@@ -2,6 +2,7 @@
 
 mod areas;
 mod beam;
+mod beside;
 mod boxes;
 mod ending;
 mod eye;

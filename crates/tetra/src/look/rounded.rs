@@ -10,7 +10,7 @@
 pub const U: f64 = f64::EPSILON / 2.0;
 
 /// More than what underflow takes away from a few products.
-const LEAST: f64 = f64::MIN_POSITIVE;
+pub const LEAST: f64 = f64::MIN_POSITIVE;
 
 /// A part by which bounds on distances are moved: far more than their few roundings.
 pub const BOUND: f64 = 1e-12;
