@@ -256,6 +256,11 @@ impl Facing {
         other.points.iter().all(|p| self.points.contains(p))
     }
 
+    /// Whether both are in one plane, unless it is open.
+    pub fn is_level_with(&self, eye: &Eye<'_>, other: &Self) -> bool {
+        other.points.iter().all(|p| eye.is_in_plane(*p, self.points) == Some(true))
+    }
+
     /// The plane that divides the directions in which the other face is nearer from those in which this one
     /// is.
     pub fn meet(&self, other: &Self) -> Plane {

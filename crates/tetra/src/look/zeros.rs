@@ -23,6 +23,8 @@ impl Planes {
             || is_at_a_point(eye, first, second, kind)
             || is_along_an_axis(eye, first, second, kind)
             || is_by_meets(eye, first, second, kind)
+            || is_in_both(eye, first, kind)
+            || is_in_both(eye, second, kind)
     }
 }
 
@@ -37,6 +39,15 @@ fn same(eye: &Eye<'_>, other: Kind, kind: Kind) -> bool {
         (Kind::Edge(..), Kind::Edge(c, d)) => holds(eye, kind, c) && holds(eye, kind, d),
         (Kind::Meet(f, g), Kind::Meet(h, k)) => others((f, g), (h, k))
             .is_some_and(|(f, h)| h.iter().all(|p| eye.is_in_plane(*p, f) == Some(true))),
+        _ => false,
+    }
+}
+
+/// Whether one of the planes is that of an edge in the line of a meet, which both faces' planes hold.
+fn is_in_both(eye: &Eye<'_>, other: Kind, kind: Kind) -> bool {
+    match (kind, other) {
+        (Kind::Meet(..), Kind::Edge(a, b)) => holds(eye, kind, a) && holds(eye, kind, b),
+        (Kind::Edge(a, b), Kind::Meet(..)) => holds(eye, other, a) && holds(eye, other, b),
         _ => false,
     }
 }
