@@ -56,12 +56,14 @@ pub enum Place {
 pub fn place(planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge], side: Side, signs: &mut Vec<i32>) -> Place {
     signs.clear();
     let (mut inner, mut outer) = (false, false);
-    for edge in ring {
-        let sign = planes.side_of(eye, &edge.corner, side);
+    let plane = planes.list[side.plane()];
+    signs.extend(ring.iter().map(|edge| {
+        let sign = planes.sign_of(eye, &edge.corner, &plane);
+        let sign = if side.negative() { -sign } else { sign };
         inner |= sign > 0;
         outer |= sign < 0;
-        signs.push(sign);
-    }
+        sign
+    }));
     match (inner, outer) {
         (true, true) => Place::Both,
         (_, false) => Place::Inside,

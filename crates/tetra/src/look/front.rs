@@ -13,7 +13,7 @@ use crate::surfaces::BLOCKS;
 use super::beam::{self, Place, reach};
 use super::beside::Edges;
 use super::meeting::keep;
-use super::outline::{Order, Outline, order};
+use super::outline::{Order, order};
 use super::patch::{End, Grown};
 use super::pieces::Patch;
 use super::planes::{Facing, Side};
@@ -160,7 +160,7 @@ impl Search<'_> {
             if edges.as_ref().is_some_and(|edges| edges.are_beside(&beam.ring)) {
                 continue;
             }
-            let Some(outline) = Outline::of(&self.eye, points) else { continue };
+            let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else { continue };
             let Scratch { planes, rings, .. } = &mut *self.scratch;
             if outline.is_beside(planes, &self.eye, &beam.ring) {
                 continue;

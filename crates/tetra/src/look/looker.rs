@@ -249,6 +249,7 @@ impl<'a> Looker<'a> {
             })
         });
         scratch.sieve.begin(x, reach);
+        scratch.outlines.begin();
         let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
         let SurfacesView { triangles, flags, .. } = self.surfaces;
         Search {

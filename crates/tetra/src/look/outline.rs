@@ -6,6 +6,7 @@ use super::planes::{Facing, Plane, Planes};
 use super::scratch::Rings;
 
 /// A triangle whose plane does not hold the viewpoint.
+#[derive(Clone, Copy)]
 pub(super) struct Outline {
     pub facing: Facing,
     /// The planes of the edges in front order, and whether the inner side is the negative one.
@@ -47,6 +48,35 @@ impl Outline {
             }
         }
         true
+    }
+}
+
+/// Slots for outlines, a power of two.
+const SLOTS: usize = 1 << 12;
+
+/// The outlines of a query that were made last, because most triangles are compared with many beams.
+#[derive(Default)]
+pub(super) struct Outlines {
+    /// The triangle with its outline, and the query that made it.
+    slots: Vec<(u32, u64, Option<Outline>)>,
+    query: u64,
+}
+
+impl Outlines {
+    /// Begins a query.
+    pub fn begin(&mut self) {
+        self.query += 1;
+        self.slots.resize(SLOTS, (0, 0, None));
+    }
+
+    /// The outline of a triangle with these points, or nothing if its plane holds the viewpoint.
+    #[inline]
+    pub fn of(&mut self, eye: &Eye<'_>, triangle: u32, points: [u32; 3]) -> Option<Outline> {
+        let slot = &mut self.slots[triangle as usize & (SLOTS - 1)];
+        if (slot.0, slot.1) != (triangle, self.query) {
+            *slot = (triangle, self.query, Outline::of(eye, points));
+        }
+        slot.2
     }
 }
 

@@ -10,7 +10,6 @@
 
 use super::beam::{self, Edge};
 use super::neighbours::{NONE, across};
-use super::outline::Outline;
 use super::pieces::Patch;
 use super::planes::Facing;
 use super::rounded::{Rounded, unit};
@@ -91,7 +90,8 @@ impl Search<'_> {
 
     /// Adds a triangle's part of a beam to a patch, if there is one.
     fn add_piece(&mut self, beam: &Beam, triangle: u32, patch: &mut Patch) -> bool {
-        let Some(outline) = Outline::of(&self.eye, self.points(triangle)) else { return false };
+        let points = self.points(triangle);
+        let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else { return false };
         let Scratch { planes, rings, .. } = &mut *self.scratch;
         let overlaps = outline.clip(planes, &self.eye, &beam.ring, rings);
         if overlaps {

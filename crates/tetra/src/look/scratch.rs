@@ -1,6 +1,7 @@
 //! Memory that queries use again.
 
 use super::beam::Ring;
+use super::outline::Outlines;
 use super::pieces::Patch;
 use super::planes::Planes;
 use super::rounded::Rounded;
@@ -25,6 +26,7 @@ pub struct Scratch {
     /// A list of boxes that is made on the way.
     pub(super) refined: Vec<Entry>,
     pub(super) patch: Patch,
+    pub(super) outlines: Outlines,
     /// The cell of the last viewpoint, where the search for the next one begins.
     pub(super) hint: Option<u32>,
     /// The answer of the last query.
