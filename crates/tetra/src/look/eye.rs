@@ -40,6 +40,12 @@ impl<'a> Eye<'a> {
         }
     }
 
+    /// The points of a triangle of the scene.
+    #[inline]
+    pub fn scene_points(&self, triangle: [u32; 3]) -> [[f32; 3]; 3] {
+        triangle.map(|p| self.points[p as usize])
+    }
+
     /// The way to a point.
     #[inline]
     pub fn to(&self, number: u32) -> Rounded {

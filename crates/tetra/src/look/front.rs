@@ -152,7 +152,7 @@ impl Search<'_> {
         for k in first..first + count {
             let triangle = self.scene.order[k as usize];
             let points = self.points(triangle);
-            let Some(behind) = self.scratch.sieve.behind(points.map(|p| self.eye.point(p))) else { continue };
+            let Some(behind) = self.scratch.sieve.behind(self.eye.scene_points(points)) else { continue };
             if patch.pieces().iter().any(|p| p.triangle == triangle) || beam.met.contains(&triangle) {
                 continue;
             }
@@ -204,7 +204,7 @@ impl Search<'_> {
             entry.count > 0
                 || entry.key <= far && {
                     let node = &nodes[entry.first as usize];
-                    !sieve.stops(node.low, node.high)
+                    !sieve.hides(node.low, node.high)
                 }
         });
     }

@@ -177,7 +177,7 @@ impl Search<'_> {
     /// Whether the sieve leaves out a triangle.
     fn is_sifted(&self, triangle: u32) -> bool {
         self.scene.space.is_none() && {
-            let points = self.points(triangle).map(|p| self.eye.point(p));
+            let points = self.eye.scene_points(self.points(triangle));
             self.scratch.sieve.behind(points).is_none()
         }
     }

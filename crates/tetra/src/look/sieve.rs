@@ -5,7 +5,7 @@
 //! of two that brings the scene's below 1, so nothing overflows. Bounds on all roundings are added to the
 //! left side: what is left out is left out for certain, and what is kept may still be outside.
 
-use glam::{DVec3, Vec3, Vec4};
+use glam::{DVec3, Vec3, Vec3A, Vec4};
 
 use super::beam::{Edge, radius};
 use super::planes::{Facing, Planes};
@@ -48,14 +48,20 @@ pub struct Sieve {
     patch_count: usize,
     x: DVec3,
     scale: f64,
+    /// The viewpoint scaled, in two parts, and what rounding of the second one adds to a plane's constant.
+    parts: [Vec3A; 2],
+    single_scale: f32,
+    slack: f64,
 }
 
-/// A normal's components are below 2, and scaled coordinates are at most 1 + 2⁻²³. Single
-/// precision rounds each of them, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 3 + 6 · 3 < 40 such
+/// A normal's components are below 2, and scaled ways are at most 1 + 2⁻²². Single precision rounds each
+/// normal once and each way twice, each product and each sum by a part of 2⁻²⁴: 3 · 2 · 4 + 6 · 3 < 45 such
 /// parts. This is 64 of them.
 const ROUNDED: f64 = 1.0 / (1u64 << 18) as f64;
 /// Beams with a radius below this many radians are tried in doubles too.
 const NARROW: f64 = 16.0 * ROUNDED;
+/// The largest power of two by which coordinates are scaled: single precision holds it.
+const LARGEST: i32 = 100;
 /// More than what underflow can take away from a few products.
 const TINY: f64 = 1e-36;
 
@@ -64,7 +70,15 @@ impl Sieve {
     pub fn begin(&mut self, x: [f64; 3], reach: f64) {
         self.x = x.into();
         let exponent = if reach > 0.0 { -(libm::ilogb(reach) + 1) } else { 0 };
-        self.scale = f64::powi(2.0, exponent);
+        self.scale = f64::powi(2.0, exponent.min(LARGEST));
+        self.single_scale = self.scale as f32;
+        let x = self.x * self.scale;
+        let first = x.as_vec3();
+        let second = (x - first.as_dvec3()).as_vec3();
+        self.parts = [first.into(), second.into()];
+        // The second part is rounded, and so is what is left after the first one was taken away: by a part of
+        // 2⁻²⁴ of the second part each, times three components of a normal below 2.
+        self.slack = 16.0 * f64::from(second.abs().max_element()) / (1u64 << 24) as f64;
     }
 
     /// Begins a beam.
@@ -90,7 +104,7 @@ impl Sieve {
     }
 
     fn bound(&mut self, n: ([f64; 3], f64), c: (f64, f64)) {
-        add(&mut self.bounds, &mut self.bound_count, 1.0, n, c);
+        add(&mut self.bounds, &mut self.bound_count, 1.0, n, (c.0, c.1 + self.slack));
         if self.is_narrow {
             // As in single precision, with doubles' own roundings: of normals, coordinates, products and
             // sums.
@@ -102,7 +116,7 @@ impl Sieve {
     /// Adds a face to the patch.
     pub fn patch(&mut self, face: &Facing) {
         let (n, c) = self.scaled(face);
-        add(&mut self.patch, &mut self.patch_count, -1.0, n, c);
+        add(&mut self.patch, &mut self.patch_count, -1.0, n, (c.0, c.1 + self.slack));
     }
 
     /// A face's normal, outer side to the back, and its distance, with their bounds.
@@ -115,18 +129,16 @@ impl Sieve {
     /// Whether all of a box is outside of the beam, or behind its cap, or behind all of its patch.
     #[inline]
     pub fn stops(&self, low: [f32; 3], high: [f32; 3]) -> bool {
-        let (near, far) = (self.way(Vec3::from(low).as_dvec3()), self.way(Vec3::from(high).as_dvec3()));
-        let reach = near.abs().max(far.abs()).max_element();
-        let most = |g: &Group| {
-            let [x, y, z] = g.normals;
-            let x = (x * near.x).max(x * far.x);
-            let y = (y * near.y).max(y * far.y);
-            let z = (z * near.z).max(z * far.z);
-            x + y + z + (g.constant + g.margin * reach)
-        };
-        self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any())
+        let way = Ways::new(self.way(low), self.way(high));
+        self.bounds.iter().any(|g| way.most(g).cmplt(Vec4::ZERO).any())
             || self.is_narrow && self.stops_closely(low, high)
-            || !self.patch.is_empty() && self.patch.iter().all(|g| most(g).cmplt(Vec4::ZERO).all())
+            || !self.patch.is_empty() && way.is_behind(&self.patch)
+    }
+
+    /// Whether all of a box is behind all of the patch.
+    #[inline]
+    pub fn hides(&self, low: [f32; 3], high: [f32; 3]) -> bool {
+        !self.patch.is_empty() && Ways::new(self.way(low), self.way(high)).is_behind(&self.patch)
     }
 
     /// Whether all of a box is outside of the beam or behind its cap, in doubles.
@@ -142,12 +154,12 @@ impl Sieve {
     /// Nothing where all of a triangle is outside of the beam or behind its cap, or behind all of its patch;
     /// else the pieces of the patch that it is behind, a bit each.
     #[inline]
-    pub fn behind(&self, points: [[f64; 3]; 3]) -> Option<u64> {
-        let [a, b, c] = points.map(|p| self.way(p.into()));
+    pub fn behind(&self, points: [[f32; 3]; 3]) -> Option<u64> {
+        let [a, b, c] = points.map(|p| self.way(p));
         let reach = a.abs().max(b.abs()).max(c.abs()).max_element();
         let most = |g: &Group| {
             let [x, y, z] = g.normals;
-            let of = |p: Vec3| x * p.x + y * p.y + z * p.z;
+            let of = |p: Vec3A| x * p.x + y * p.y + z * p.z;
             of(a).max(of(b)).max(of(c)) + (g.constant + g.margin * reach)
         };
         if self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any()) {
@@ -161,9 +173,39 @@ impl Sieve {
         (all == 0 || behind.count_ones() as usize != all).then_some(behind)
     }
 
+    /// The scaled way from the viewpoint.
     #[inline]
-    fn way(&self, p: DVec3) -> Vec3 {
-        ((p - self.x) * self.scale).as_vec3()
+    fn way(&self, p: [f32; 3]) -> Vec3A {
+        Vec3A::from(p) * self.single_scale - self.parts[0] - self.parts[1]
+    }
+}
+
+/// The ways to the least and the greatest corner of a box.
+struct Ways {
+    near: Vec3A,
+    far: Vec3A,
+    reach: f32,
+}
+
+impl Ways {
+    #[inline]
+    fn new(near: Vec3A, far: Vec3A) -> Self {
+        Self { near, far, reach: near.abs().max(far.abs()).max_element() }
+    }
+
+    /// How far the box is on the inner side of four planes at most.
+    #[inline]
+    fn most(&self, g: &Group) -> Vec4 {
+        let [x, y, z] = g.normals;
+        let x = (x * self.near.x).max(x * self.far.x);
+        let y = (y * self.near.y).max(y * self.far.y);
+        let z = (z * self.near.z).max(z * self.far.z);
+        x + y + z + (g.constant + g.margin * self.reach)
+    }
+
+    #[inline]
+    fn is_behind(&self, patch: &[Group]) -> bool {
+        patch.iter().all(|g| self.most(g).cmplt(Vec4::ZERO).all())
     }
 }
 
