@@ -53,9 +53,15 @@ impl Search<'_> {
                 return true;
             };
             self.forget(beam, far);
+            seed = Some(triangle);
+            if matches!(order, Order::Nearer) {
+                // Something else may be in front of it there.
+                let way = beam::center(&self.scratch.rings.inside);
+                let is_new = |t: &u32| patch.pieces().iter().all(|p| p.triangle != *t);
+                seed = self.guess_along(beam, None, way).filter(is_new).or(seed);
+            }
             self.scratch.planes.list.truncate(made);
             beam.met.truncate(met);
-            seed = Some(triangle);
             match order {
                 Order::Crosses(plane) => {
                     let side = self.scratch.planes.add(plane);

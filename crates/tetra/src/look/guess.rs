@@ -25,7 +25,11 @@ impl Search<'_> {
     /// The blocking triangle that the line through a beam's middle meets first, nearer than the cap, among
     /// those that wait.
     pub(super) fn guess(&mut self, beam: &Beam, cap: Option<&Facing>) -> Option<u32> {
-        let way = center(&beam.ring);
+        self.guess_along(beam, cap, center(&beam.ring))
+    }
+
+    /// The same along a line in any direction of the beam.
+    pub(super) fn guess_along(&mut self, beam: &Beam, cap: Option<&Facing>, way: V) -> Option<u32> {
         // What is as far away as the cap is the cap, or as good.
         let most = cap.map_or(f64::INFINITY, |cap| cap.height.value / dot(cap.normal.v, way) * (1.0 - 1e-9));
         let mut ray = Ray { x: self.eye.x, way, inverse: way.map(|c| 1.0 / c), most, found: None };
