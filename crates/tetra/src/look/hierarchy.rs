@@ -135,7 +135,7 @@ fn is_listed(flags: u8) -> bool {
 
 /// Most triangles of a leaf.
 const LEAF: usize = 4;
-/// Places at which a box may be divided, along its longest side.
+/// Parts of a box's sides, between which it may be divided.
 const BINS: usize = 16;
 
 impl Hierarchy {
@@ -216,40 +216,44 @@ fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
     if part.len() <= LEAF {
         return None;
     }
-    let middles = |k: usize, part: &[u32]| {
-        part.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| {
+    // Along each axis the least of the boxes' middles, and how far the greatest is from it.
+    let ranges: [(f64, f64); 3] = std::array::from_fn(|k| {
+        let (least, most) = part.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| {
             let m = bounds[*t as usize].middle(k);
             (a.min(m), b.max(m))
-        })
-    };
-    let ranges: [(f64, f64); 3] = std::array::from_fn(|k| middles(k, part));
-    let width = |k: usize| ranges[k].1 - ranges[k].0;
-    let axis = (0..3).max_by(|a, b| width(*a).total_cmp(&width(*b)))?;
-    if width(axis) <= 0.0 {
-        // All middles agree: any half is as good as another.
-        return Some(part.len() / 2);
-    }
-    let bin = |t: u32| {
-        let at = (bounds[t as usize].middle(axis) - ranges[axis].0) / width(axis) * BINS as f64;
+        });
+        (least, most - least)
+    });
+    let bin = |axis: usize, t: u32| {
+        let (least, width) = ranges[axis];
+        let at = (bounds[t as usize].middle(axis) - least) / width * BINS as f64;
         (at as usize).min(BINS - 1)
     };
-    let mut bins = [(0usize, Bounds::EMPTY); BINS];
-    for t in part.iter() {
-        let b = &mut bins[bin(*t)];
-        *b = (b.0 + 1, b.1.and(&bounds[*t as usize]));
+    let mut best: Option<(f64, usize, usize)> = None;
+    for axis in (0..3).filter(|axis| ranges[*axis].1 > 0.0) {
+        let mut bins = [(0usize, Bounds::EMPTY); BINS];
+        for t in part.iter() {
+            let b = &mut bins[bin(axis, *t)];
+            *b = (b.0 + 1, b.1.and(&bounds[*t as usize]));
+        }
+        for at in 1..BINS {
+            let cost = cost(&bins[..at]) + cost(&bins[at..]);
+            if best.is_none_or(|best| cost < best.0) {
+                best = Some((cost, axis, at));
+            }
+        }
     }
-    let cost = |bins: &[(usize, Bounds)]| {
-        let (count, around) = bins.iter().fold((0, Bounds::EMPTY), |(n, a), b| (n + b.0, a.and(&b.1)));
-        if count == 0 { f64::INFINITY } else { count as f64 * around.half_area() }
-    };
-    let at = (1..BINS)
-        .map(|k| (k, cost(&bins[..k]) + cost(&bins[k..])))
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .map_or(BINS / 2, |b| b.0);
-    part.sort_by_key(|t| (bin(*t) >= at, *t));
-    let middle = part.iter().filter(|t| bin(**t) < at).count();
+    // If all middles agree any half is as good as another.
+    let Some((_, axis, at)) = best else { return Some(part.len() / 2) };
+    part.sort_by_key(|t| (bin(axis, *t) >= at, *t));
     // The first and the last bin hold something, so both parts do.
-    Some(middle)
+    Some(part.iter().filter(|t| bin(axis, **t) < at).count())
+}
+
+/// What it takes to go through the triangles of some bins, by the surface-area heuristic.
+fn cost(bins: &[(usize, Bounds)]) -> f64 {
+    let (count, around) = bins.iter().fold((0, Bounds::EMPTY), |(n, a), b| (n + b.0, a.and(&b.1)));
+    if count == 0 { f64::INFINITY } else { count as f64 * around.half_area() }
 }
 
 #[cfg(test)]
