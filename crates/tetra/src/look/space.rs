@@ -208,10 +208,12 @@ impl<'a> Space<'a> {
                 pending.push(Entry { key, first: *listed, count: THROUGH_FACE });
             }
         }
-        // Triangles first, for they may end the beam; then the nearest cells. Most of the list is in order
-        // already.
-        if pending.len() > before {
-            pending.sort_unstable_by(|a, b| b.key.total_cmp(&a.key).then(b.first.cmp(&a.first)));
+        // Triangles first, for they may end the beam; then the nearest cells. What was there is in order
+        // already, and most of it stays where it is.
+        for new in before..pending.len() {
+            let Entry { key, first, .. } = pending[new];
+            let at = pending[..new].partition_point(|e| (e.key, e.first) >= (key, first));
+            pending[at..=new].rotate_right(1);
         }
     }
 
