@@ -9,6 +9,7 @@ mod meshes;
 
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
+use sightline_numbers::random::SplitMix64;
 use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Seen, Target, Tets, View, build};
@@ -228,4 +229,33 @@ proptest! {
         let x = if push > 0.0 { x } else { x + DVec3::splat(push) };
         check(&all, x.to_array(), direction, angle, distance, false)?;
     }
+}
+
+#[test]
+fn the_engine_with_less_to_do_answers() {
+    // Triangles around one edge, like the pages of a book.
+    let page = |k: u32| {
+        let angle = f64::from(k) * PI / 60.0;
+        let (x, y) = (libm::cos(angle) as f32, libm::sin(angle) as f32);
+        ([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [x, y, 0.0]], Kind::Opaque)
+    };
+    let book: Vec<(T, Kind)> = (0..60).map(page).collect();
+    let tets = tets(&book);
+    let mut scratch = Scratch::default();
+    let x = [0.3, 3.0, 0.1];
+    for (mode, engine) in [(Mode::Exact, Engine::Boxes), (Mode::Conservative(0.01), Engine::Cells)] {
+        assert_eq!(tets.faster(x, &View::default(), mode, &mut scratch).unwrap(), engine, "{mode:?}");
+    }
+    // Among large triangles that cross little is seen, and all boxes overlap.
+    let mut random = SplitMix64::new(1);
+    let mut place = |size: f32| [0.0f32; 3].map(|_| size * (random.unit_f32() - 0.5));
+    let crossing: Vec<(T, Kind)> = (0..100).map(|_| ([0; 3].map(|_| place(9.0)), Kind::Opaque)).collect();
+    let found = self::tets(&crossing).faster([0.1; 3], &View::default(), Mode::Exact, &mut scratch);
+    assert_eq!(found, Ok(Engine::Cells));
+    // What was given up leaves nothing behind.
+    let [boxes, cells] =
+        [Engine::Boxes, Engine::Cells].map(|engine| look(&tets, x, &View::default(), engine));
+    assert_eq!(boxes.visible, cells.visible);
+    let view = View { witnesses: true, engine: Engine::Cells, ..View::default() };
+    assert_eq!(tets.look(x, &view, Mode::Exact, &mut scratch).unwrap(), &cells);
 }

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::path::Path;
 
-use crate::look::{Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
+use crate::look::{Budget, Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
 
 use super::contents::Contents;
 use super::error::TetsError;
@@ -18,13 +18,8 @@ pub struct Tets {
 
 /// Microseconds that a beam takes, and a box or a cell that it enters, on one machine
 /// (`docs/experiments/look.md`). Only their relations count.
-struct Cost {
-    beam: f64,
-    step: f64,
-}
-
-const OF_BOXES: Cost = Cost { beam: 2.0, step: 0.5 };
-const OF_CELLS: Cost = Cost { beam: 8.0, step: 1.0 };
+const OF_BOXES: Budget = Budget { beam: 2.0, step: 0.5, most: f64::INFINITY };
+const OF_CELLS: Budget = Budget { beam: 8.0, step: 1.0, most: f64::INFINITY };
 
 enum Bytes {
     Mapped(memmap2::Mmap),
@@ -173,12 +168,14 @@ impl Tets {
         if matches!(mode, Mode::Conservative(_)) {
             return Ok(Engine::Cells);
         }
-        let mut cost = |engine, of: &Cost| {
+        let looker = self.looker();
+        let is_enough = |engine, budget: &Budget, scratch: &mut Scratch| {
             let view = View { engine, witnesses: false, ..view.clone() };
-            let seen = self.look(x, &view, mode, scratch)?;
-            Ok(of.beam * seen.beams as f64 + of.step * seen.cells as f64)
+            looker.look_for(x, (&view, mode), budget, scratch)
         };
-        let (boxes, cells) = (cost(Engine::Boxes, &OF_BOXES)?, cost(Engine::Cells, &OF_CELLS)?);
-        Ok(if cells < boxes { Engine::Cells } else { Engine::Boxes })
+        is_enough(Engine::Boxes, &OF_BOXES, scratch)?;
+        // Cells are followed only for as long as they may be the faster ones.
+        let cells = Budget { most: OF_BOXES.cost(&scratch.seen), ..OF_CELLS };
+        Ok(if is_enough(Engine::Cells, &cells, scratch)? { Engine::Cells } else { Engine::Boxes })
     }
 }

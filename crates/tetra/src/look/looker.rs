@@ -8,7 +8,7 @@ use crate::surfaces::{FLAT, SHOWS, SurfacesView};
 use super::eye::{Eye, unit_of};
 use super::hierarchy::Boxes;
 use super::scratch::Scratch;
-use super::search::{Scene, Search};
+use super::search::{Budget, Scene, Search};
 use super::space::Space;
 use super::stack::Entry;
 use super::view::{Engine, Mode, Seen, Target, View};
@@ -136,6 +136,18 @@ impl<'a> Looker<'a> {
         mode: Mode,
         scratch: &'s mut Scratch,
     ) -> Result<&'s Seen, LookError> {
+        self.look_for(x, (view, mode), &Budget::default(), scratch)?;
+        Ok(&scratch.seen)
+    }
+
+    /// The same with a budget; says whether it was enough. If not, there is no answer.
+    pub(crate) fn look_for(
+        &self,
+        x: [f64; 3],
+        (view, mode): (&View, Mode),
+        budget: &Budget,
+        scratch: &mut Scratch,
+    ) -> Result<bool, LookError> {
         check_point("the point", x)?;
         self.check_view(view)?;
         check_mode(mode)?;
@@ -151,11 +163,11 @@ impl<'a> Looker<'a> {
         let sides = limits.planes(&mut scratch.planes);
         let mut search = self.search(x, &[], &[], (mode, view.engine), limits, scratch);
         search.begin(&sides, &[]);
-        search.run();
+        let is_enough = search.run(budget);
         let Scratch { planes, tally, seen, .. } = scratch;
         tally.finish(view.witnesses, seen);
         (seen.decided, seen.integers) = (planes.decided, planes.integers);
-        Ok(&scratch.seen)
+        Ok(is_enough)
     }
 
     /// What share of a box's picture is visible from `x`, in 0…1: of the solid angle of the box, as if
@@ -219,7 +231,7 @@ impl<'a> Looker<'a> {
                 std::array::from_fn(|n| scratch.planes.add_edge(&eye, around[n], around[(n + 1) % 4]));
             let mut search = self.search(x, &corners, &faces, (mode, view.engine), limits, scratch);
             search.begin(&sides, &[self.surfaces.triangles.len() as u32]);
-            search.run();
+            search.run(&Budget::default());
             part += search.of_faces;
             all += search.begun;
         }

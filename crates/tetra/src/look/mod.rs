@@ -29,4 +29,5 @@ mod zeros;
 pub use hierarchy::{Boxes, Hierarchy, Node};
 pub use looker::{LookError, Looker};
 pub use scratch::Scratch;
+pub(crate) use search::Budget;
 pub use view::{Engine, Mode, Seen, Target, View};

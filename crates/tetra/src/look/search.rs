@@ -18,7 +18,7 @@ use super::planes::{Facing, Side};
 use super::scratch::Scratch;
 use super::space::{Space, THROUGH_FACE};
 use super::stack::{Beam, Entry, NO_HINT};
-use super::view::Mode;
+use super::view::{Mode, Seen};
 use super::within::Limits;
 
 /// What a search looks at.
@@ -31,6 +31,24 @@ pub(super) struct Scene<'a> {
     pub neighbours: &'a [[u32; 3]],
     /// The cells, where they answer.
     pub space: Option<Space<'a>>,
+}
+
+/// How much a search may do, by what it counts: more than that it gives up.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Budget {
+    /// What a beam costs.
+    pub beam: f64,
+    /// What a box or a cell costs.
+    pub step: f64,
+    /// The most that all may cost.
+    pub most: f64,
+}
+
+impl Budget {
+    /// What a search has cost so far.
+    pub fn cost(&self, seen: &Seen) -> f64 {
+        self.beam * seen.beams as f64 + self.step * seen.cells as f64
+    }
 }
 
 /// One search.
@@ -94,15 +112,21 @@ impl Search<'_> {
         }
     }
 
-    /// Ends all beams.
-    pub fn run(&mut self) {
+    /// Ends all beams; says whether the budget was enough for that.
+    pub fn run(&mut self, budget: &Budget) -> bool {
         let mut beam = std::mem::take(&mut self.scratch.beam);
+        let mut is_enough = true;
         while let Some((planes, entered)) = self.scratch.stack.pop(&mut beam) {
             self.scratch.planes.list.truncate(planes);
             self.scratch.entered.truncate(entered);
+            is_enough = budget.cost(&self.scratch.seen) <= budget.most;
+            if !is_enough {
+                break;
+            }
             self.follow(&mut beam);
         }
         self.scratch.beam = beam;
+        is_enough
     }
 
     /// Follows a beam until it ends or is divided.
