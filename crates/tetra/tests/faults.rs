@@ -55,10 +55,11 @@ impl Loose {
             out.loops.extend(face.vertices);
             out.triangles.extend(face.triangles);
         }
-        for faces in self.cells.into_iter().chain([vec![]]) {
-            out.cells.push(CellRecord { tetrahedron: NONE, faces_start: out.cell_faces.len() as u32 });
+        for (k, faces) in (0..).zip(self.cells) {
+            out.cells.push(CellRecord { tetrahedron: k, faces_start: out.cell_faces.len() as u32 });
             out.cell_faces.extend(faces);
         }
+        out.cells.push(CellRecord { tetrahedron: NONE, faces_start: out.cell_faces.len() as u32 });
         out
     }
 
@@ -98,6 +99,18 @@ fn lists_that_were_taken_apart_and_joined_again_pass() {
     let built = world();
     let cells = Loose::of(&built.cells).joined(&built.cells);
     assert_eq!(check(&Contents { cells: cells.view(), ..built.contents() }), Ok(()));
+}
+
+#[test]
+fn a_cell_of_another_tetrahedron_is_found() {
+    let built = world();
+    let last = built.cells.view().cell_count();
+    for (cell, tetrahedron) in [(0, 1), (7, 5_000_000), (last - 1, 0), (last, 0)] {
+        let mut cells = built.cells.clone();
+        cells.cells[cell].tetrahedron = tetrahedron;
+        let found = check(&Contents { cells: cells.view(), ..built.contents() }).unwrap_err();
+        assert!(matches!(found, Fault::Number { list: "tetrahedra of cells", .. }), "{found:?}");
+    }
 }
 
 #[test]

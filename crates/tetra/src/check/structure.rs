@@ -49,6 +49,15 @@ pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<
         let least = cells.cells[i].faces_start.checked_add(4);
         least.is_some_and(|least| least <= cells.cells[i + 1].faces_start)
     })?;
+    // The parts of a tetrahedron come together, in the order of tetrahedra.
+    all("tetrahedra of cells", count + 1, &|i| {
+        let own = cells.cells[i].tetrahedron;
+        match i.checked_sub(1).map(|before| cells.cells[before].tetrahedron) {
+            _ if i == count => own == NONE,
+            None => own == 0,
+            Some(before) => own == before || Some(own) == before.checked_add(1),
+        }
+    })?;
     let ends = (cells.cells[0].faces_start, cells.cells[count].faces_start as usize);
     if ends != (0, cells.cell_faces.len()) {
         return Err(Fault::Number { list: "cells", index: count });
