@@ -9,7 +9,7 @@ use crate::ambient_args::AmbientArgs;
 use crate::ambient_distance::distance;
 use crate::error::CliError;
 use crate::json_lines::JsonLines;
-use crate::opening;
+use crate::opening::{self, plural};
 use crate::progress::say;
 use crate::serve::{self, print, threads};
 
@@ -100,7 +100,10 @@ fn answer_all(path: &Path, triangles: usize, solver: &Solver<'_>, lights: &[Stri
     if ended.is_err() {
         say("only the points before the bad line were answered:");
     }
-    say(&format!("{points} points, each right to {most:.0e}"));
+    say(&match points {
+        0 => "0 points".to_owned(),
+        _ => format!("{}, each right to {most:.0e}", plural(points as usize, "point")),
+    });
     ended
 }
 

@@ -68,7 +68,11 @@ impl Pvs {
         let path = path.as_ref();
         let failed = |source| PvsError::Open { path: path.to_owned(), source };
         let file = File::open(path).map_err(failed)?;
-        if file.metadata().map_err(failed)?.len() == 0 {
+        let metadata = file.metadata().map_err(failed)?;
+        if metadata.is_dir() {
+            return Err(failed(std::io::ErrorKind::IsADirectory.into()));
+        }
+        if metadata.len() == 0 {
             // An empty file cannot be mapped on every system.
             return Err(PvsError::NotPvs);
         }

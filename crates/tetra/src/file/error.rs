@@ -54,8 +54,9 @@ pub enum TetsError {
     },
     /// The file was made from another scene.
     #[error(
-        "the .tets file is of another scene (digest {found}, wanted {wanted}); name the scene that it was \
-             built from, or build it again"
+        "the .tets file is of another scene, or was built with other flags about what blocks and shows \
+             (digest {found}, wanted {wanted}); name the scene and give the flags that it was built with, or \
+             build it again"
     )]
     OtherScene {
         /// The digest in the file, in hexadecimal digits.
