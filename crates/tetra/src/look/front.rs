@@ -3,8 +3,8 @@
 //!
 //! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which
 //! it does: most often a surface ends there or turns away, and something else is seen beyond. If it covers
-//! the beam, all that waits is compared with it. A triangle in front of it begins the next patch; one that
-//! goes through it cuts the beam along the line where both meet; one with the points of a piece is seen with
+//! the beam, all that waits is compared with it. Where a triangle is in front of it, what is seen there first
+//! begins the next patch; a triangle that goes through it cuts the beam along the line where both meet; one with the points of a piece is seen with
 //! it, and another one in its plane is left to [`super::meeting`]. What is behind a patch that covers the
 //! beam is forgotten for all parts of the beam.
 
@@ -38,12 +38,19 @@ impl Search<'_> {
     fn see_with(&mut self, beam: &mut Beam, cap: &mut Option<Facing>, patch: &mut Patch) -> bool {
         let (made, met) = (self.scratch.planes.list.len(), beam.met.len());
         let mut seed = if beam.hint == NO_HINT { self.guess(beam, None) } else { Some(beam.hint) };
+        // A triangle that overlaps the beam for certain, which a guess in doubles may not.
+        let mut sure = None;
         patch.clear();
         for _ in 0..TRIES {
             if let Some(triangle) = seed {
                 match self.grow(beam, triangle, patch) {
                     Grown::Covers => {}
                     Grown::Ends(end) => return self.cut_at(beam, end, made, met),
+                    Grown::No if sure.is_some() && sure != seed => {
+                        seed = sure;
+                        self.scratch.planes.list.truncate(made);
+                        continue;
+                    }
                     Grown::No => break,
                 }
             }
@@ -53,7 +60,7 @@ impl Search<'_> {
                 return true;
             };
             self.forget(beam, far);
-            seed = Some(triangle);
+            (sure, seed) = (Some(triangle), Some(triangle));
             if matches!(order, Order::Nearer) {
                 // Something else may be in front of it there.
                 let way = beam::center(&self.scratch.rings.inside);
@@ -75,7 +82,7 @@ impl Search<'_> {
         }
         self.scratch.planes.list.truncate(made);
         beam.met.truncate(met);
-        seed.is_some_and(|triangle| self.meet(beam, cap, triangle))
+        sure.or(seed).is_some_and(|triangle| self.meet(beam, cap, triangle))
     }
 
     /// Decides a beam that has no cap and is cut no more, if a patch covers it. Says whether it did.

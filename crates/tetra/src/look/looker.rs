@@ -136,11 +136,12 @@ impl<'a> Looker<'a> {
         mode: Mode,
         scratch: &'s mut Scratch,
     ) -> Result<&'s Seen, LookError> {
-        self.look_for(x, (view, mode), &Budget::default(), scratch)?;
+        self.look_for(x, (view, mode), &Budget::ALL, scratch)?;
         Ok(&scratch.seen)
     }
 
-    /// The same with a budget; says whether it was enough. If not, there is no answer.
+    /// The same with a budget; says whether it was enough. If not, there is no answer, and `scratch.seen` has
+    /// counts alone.
     pub(crate) fn look_for(
         &self,
         x: [f64; 3],
@@ -166,6 +167,11 @@ impl<'a> Looker<'a> {
         let is_enough = search.run(budget);
         let Scratch { planes, tally, seen, .. } = scratch;
         tally.finish(view.witnesses, seen);
+        if !is_enough {
+            seen.visible.clear();
+            seen.areas.clear();
+            seen.witnesses.clear();
+        }
         (seen.decided, seen.integers) = (planes.decided, planes.integers);
         Ok(is_enough)
     }
@@ -231,7 +237,7 @@ impl<'a> Looker<'a> {
                 std::array::from_fn(|n| scratch.planes.add_edge(&eye, around[n], around[(n + 1) % 4]));
             let mut search = self.search(x, &corners, &faces, (mode, view.engine), limits, scratch);
             search.begin(&sides, &[self.surfaces.triangles.len() as u32]);
-            search.run(&Budget::default());
+            search.run(&Budget::ALL);
             part += search.of_faces;
             all += search.begun;
         }
@@ -261,8 +267,10 @@ impl<'a> Looker<'a> {
             })
         });
         scratch.sieve.begin(x, reach);
-        scratch.outlines.begin();
         let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
+        if space.is_none() {
+            scratch.outlines.begin();
+        }
         let SurfacesView { triangles, flags, .. } = self.surfaces;
         Search {
             scene: Scene {

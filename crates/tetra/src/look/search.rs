@@ -33,18 +33,21 @@ pub(super) struct Scene<'a> {
     pub space: Option<Space<'a>>,
 }
 
-/// How much a search may do, by what it counts: more than that it gives up.
-#[derive(Clone, Copy, Debug, Default)]
+/// How much a search may do, by what it counts: where it has done as much, it gives up.
+#[derive(Clone, Copy, Debug)]
 pub struct Budget {
     /// What a beam costs.
     pub beam: f64,
     /// What a box or a cell costs.
     pub step: f64,
-    /// The most that all may cost.
+    /// All together cost less than this.
     pub most: f64,
 }
 
 impl Budget {
+    /// As much as it takes.
+    pub const ALL: Self = Self { beam: 0.0, step: 0.0, most: f64::INFINITY };
+
     /// What a search has cost so far.
     pub fn cost(&self, seen: &Seen) -> f64 {
         self.beam * seen.beams as f64 + self.step * seen.cells as f64
@@ -119,11 +122,11 @@ impl Search<'_> {
         while let Some((planes, entered)) = self.scratch.stack.pop(&mut beam) {
             self.scratch.planes.list.truncate(planes);
             self.scratch.entered.truncate(entered);
-            is_enough = budget.cost(&self.scratch.seen) <= budget.most;
+            self.follow(&mut beam);
+            is_enough = budget.cost(&self.scratch.seen) < budget.most;
             if !is_enough {
                 break;
             }
-            self.follow(&mut beam);
         }
         self.scratch.beam = beam;
         is_enough

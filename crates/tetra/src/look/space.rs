@@ -76,9 +76,16 @@ impl<'a> Space<'a> {
     pub fn start(&self, eye: &Eye<'_>, hint: &mut Option<u32>, found: &mut Vec<Entry>) {
         found.clear();
         self.around(eye, hint, found);
-        if !found.is_empty() {
-            return;
+        if found.is_empty() {
+            self.seen_from_outside(eye, found);
         }
+        // In one order, wherever the search for them began.
+        found.sort_unstable_by_key(|e| std::cmp::Reverse(e.first));
+        found.dedup();
+    }
+
+    /// The cells at the faces of the box that are seen from outside of it.
+    fn seen_from_outside(&self, eye: &Eye<'_>, found: &mut Vec<Entry>) {
         for face in 0..self.cells.face_count() {
             let cells = self.cells.faces[face].cells;
             for (side, cell) in (0u32..).zip(cells) {
