@@ -3,9 +3,10 @@
 
 use glam::DVec3;
 
+use crate::hyperplane::plane;
 use crate::items::{Face, Items, Reach, What};
 use crate::lambert::{Cap, Covered};
-use crate::partition::{Grown, Node, Partition, plane};
+use crate::partition::{Grown, Node, Partition};
 use crate::polygon::{Corner, Plane, Side, side, split};
 use crate::receivers::{Source, U};
 

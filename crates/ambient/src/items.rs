@@ -5,6 +5,7 @@ use glam::DVec3;
 use sightline_exact::Below;
 
 use crate::blockers::{Blockers, corners_of};
+use crate::hull::Hull;
 use crate::receivers::{Source, U};
 
 /// On which side of a polygon's plane the source lies.
@@ -68,33 +69,6 @@ pub struct Face {
     /// Whether it hides from everywhere in the source all that is behind it, because all of it is within
     /// reach.
     pub within: bool,
-}
-
-/// A convex set.
-#[derive(Clone, Copy, Debug)]
-pub enum Hull<'a> {
-    /// That of corners.
-    Of(&'a [DVec3]),
-    /// A box: its middle and half its size.
-    Box(DVec3, DVec3),
-}
-
-impl Hull<'_> {
-    /// The least and the largest of m·p over its points p.
-    pub fn extent(&self, m: DVec3) -> (f64, f64) {
-        match self {
-            Self::Of(corners) => {
-                corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), c| {
-                    let value = m.dot(*c);
-                    (least.min(value), most.max(value))
-                })
-            }
-            Self::Box(middle, half) => {
-                let (value, reach) = (m.dot(*middle), m.abs().dot(*half));
-                (value - reach, value + reach)
-            }
-        }
-    }
 }
 
 /// What a leaf of the partition lists.

@@ -50,6 +50,8 @@ mod descend;
 mod falloff;
 mod fragments;
 pub mod fuzzing;
+mod hull;
+mod hyperplane;
 mod inside;
 mod items;
 mod lambert;

@@ -16,9 +16,9 @@ use std::rc::Rc;
 
 use glam::DVec3;
 
-use crate::items::{Face, From, Hull, Items, What};
-use crate::polygon::Plane;
-use crate::receivers::{Source, U};
+use crate::hyperplane::{Hyperplane, Passes, l1};
+use crate::items::{Face, From, Items, What};
+use crate::receivers::Source;
 
 /// What a tree tells of its rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,23 +100,6 @@ pub enum Node {
     },
 }
 
-/// On which side of a hyperplane the rays to an item pass.
-enum Passes {
-    Inside,
-    Outside,
-    Both,
-}
-
-/// A hyperplane, prepared for the corners of the source.
-struct Hyperplane {
-    /// For each corner of the source the plane through it and the line, and the bound of its error.
-    planes: Vec<(DVec3, f64)>,
-    /// Bound on what the source's slack can change, by the sum of two lengths.
-    slack: f64,
-    /// Largest distance of the source from the line's points.
-    far: f64,
-}
-
 /// The tree.
 pub struct Partition {
     tells: Tells,
@@ -127,50 +110,24 @@ pub struct Partition {
     lists: usize,
     /// Items that classes were told of, ever.
     told: usize,
-}
-
-/// The sum of the absolute values.
-fn l1(v: DVec3) -> f64 {
-    v.x.abs() + v.y.abs() + v.z.abs()
-}
-
-/// The plane through a point `x` and the line from `a` to `b`. A difference is off by a rounding, and by the
-/// point's own error; a product of two and the sum of three add three roundings, and m·v as many.
-pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
-    let (p, q) = (a - x, b - x);
-    Plane { m: p.cross(q), error: 8.0 * U * l1(p) * l1(q) }
-}
-
-impl Hyperplane {
-    fn new(source: &Source, a: DVec3, b: DVec3, far: f64) -> Self {
-        let at = |s: &DVec3| {
-            let Plane { m, error } = plane(a, b, *s);
-            (m, 2.0 * error)
-        };
-        Self { planes: source.corners.iter().map(at).collect(), slack: source.slack * l1(b - a), far }
-    }
-
-    fn passes(&self, source: &Source, hull: Hull<'_>, far: f64) -> Passes {
-        let (mut inside, mut outside) = (true, true);
-        let slack = self.slack * (far + self.far);
-        for ((m, error), s) in self.planes.iter().zip(&source.corners) {
-            let bound = error * far + slack;
-            let from = m.dot(*s);
-            let (least, most) = hull.extent(*m);
-            inside &= least - from > bound;
-            outside &= most - from < -bound;
-            if !inside && !outside {
-                return Passes::Both;
-            }
-        }
-        if inside { Passes::Inside } else { Passes::Outside }
-    }
+    /// Hyperplanes of the class that is resolved, in memory that is used again.
+    hyperplanes: Vec<Hyperplane>,
+    /// The list of the class that is grown, likewise.
+    list: Vec<u32>,
 }
 
 impl Partition {
     /// The tree of one undefined class.
     pub fn new(tells: Tells, root: Vec<u32>) -> Self {
-        let mut tree = Self { tells, nodes: Vec::new(), root, lists: 0, told: 0 };
+        let mut tree = Self {
+            tells,
+            nodes: Vec::new(),
+            root,
+            lists: 0,
+            told: 0,
+            hyperplanes: Vec::new(),
+            list: Vec::new(),
+        };
         tree.clear();
         tree
     }
@@ -216,27 +173,30 @@ impl Partition {
         }
     }
 
-    /// The items of an undefined class.
-    fn resolve(&mut self, leaf: &mut Undefined, items: &Items<'_>, source: &Source) -> Vec<u32> {
-        let list = std::mem::take(&mut leaf.list);
-        let Some(pending) = leaf.pending.take() else { return Rc::unwrap_or_clone(list) };
+    /// Puts the items of an undefined class into a list.
+    fn resolve(&mut self, leaf: &mut Undefined, items: &Items<'_>, source: &Source, list: &mut Vec<u32>) {
+        list.clear();
+        let all = std::mem::take(&mut leaf.list);
+        let Some(pending) = leaf.pending.take() else {
+            list.extend_from_slice(&all);
+            return;
+        };
         let edges = Edges::of(items, pending.item, pending.front);
-        let planes: Vec<Hyperplane> = (0..pending.inside + u32::from(pending.outside))
-            .map(|k| edges.hyperplane(items, source, k))
-            .collect();
-        let (inside, outside) = planes.split_at(pending.inside as usize);
+        self.hyperplanes.clear();
+        let count = pending.inside + u32::from(pending.outside);
+        self.hyperplanes.extend((0..count).map(|k| edges.hyperplane(items, source, k)));
+        let (inside, outside) = self.hyperplanes.split_at(pending.inside as usize);
         let belongs = |id: &u32| {
             let (hull, far) = (items.hull(*id), items.item(*id).far);
-            inside.iter().all(|p| !matches!(p.passes(source, hull, far), Passes::Outside))
-                && outside.iter().all(|p| !matches!(p.passes(source, hull, far), Passes::Inside))
+            inside.iter().all(|p| !matches!(p.passes(hull, far), Passes::Outside))
+                && outside.iter().all(|p| !matches!(p.passes(hull, far), Passes::Inside))
                 && pending
                     .before
                     .is_none_or(|(f, front)| !is_behind(items.face(f), front, items.corners(*id)))
         };
-        let list: Vec<u32> = list.iter().copied().filter(belongs).collect();
+        list.extend(all.iter().copied().filter(belongs));
         self.lists += list.len() * size_of::<u32>();
         self.told += list.len();
-        list
     }
 
     /// Defines an undefined class by the largest of its items that may hide something from a part of it.
@@ -249,6 +209,20 @@ impl Partition {
         source: &Source,
         may: &mut dyn FnMut(&Items<'_>, u32) -> bool,
     ) -> Grown {
+        let mut list = std::mem::take(&mut self.list);
+        let grown = self.grow_with(at, items, source, may, &mut list);
+        self.list = list;
+        grown
+    }
+
+    fn grow_with(
+        &mut self,
+        at: u32,
+        items: &mut Items<'_>,
+        source: &Source,
+        may: &mut dyn FnMut(&Items<'_>, u32) -> bool,
+        list: &mut Vec<u32>,
+    ) -> Grown {
         let mut leaf = match std::mem::replace(&mut self.nodes[at as usize], Node::Free) {
             Node::Undefined(leaf) => leaf,
             other => {
@@ -256,7 +230,7 @@ impl Partition {
                 return Grown::Defined;
             }
         };
-        let mut list = self.resolve(&mut leaf, items, source);
+        self.resolve(&mut leaf, items, source, list);
         if list.is_empty() {
             self.nodes[at as usize] = self.undefined(leaf);
             return Grown::Defined;
@@ -273,13 +247,13 @@ impl Partition {
                 What::Face(face) => break Some((id, face)),
                 What::Box(_) => {
                     list.remove(k);
-                    items.open(id, &mut list);
+                    items.open(id, list);
                 }
             }
         };
         let Some((item, face)) = found else {
             let class = leaf.class.map(|(face, _)| face);
-            leaf.list = Rc::new(list);
+            leaf.list = Rc::new(list.clone());
             self.nodes[at as usize] = self.undefined(leaf);
             return Grown::Nothing(class);
         };
@@ -289,7 +263,7 @@ impl Partition {
             (None, From::Both) => {
                 // The face first, then the others as they are.
                 list[..=k].rotate_right(1);
-                leaf.list = Rc::new(list);
+                leaf.list = Rc::new(list.clone());
                 let side = |front| Undefined { from: Some(front), ..leaf.clone() };
                 let (behind, ahead) = (self.leaf(side(false)), self.leaf(side(true)));
                 leaf.list = Rc::new(leaf.list[1..].to_vec());
@@ -299,7 +273,7 @@ impl Partition {
             }
         };
         list.remove(k);
-        leaf.list = Rc::new(list);
+        leaf.list = Rc::new(list.clone());
         self.chain(at, items, (item, face, front), &leaf);
         Grown::Defined
     }

@@ -1,0 +1,56 @@
+//! Convex sets, and how far they reach in a direction.
+
+use glam::DVec3;
+
+/// A convex set.
+#[derive(Clone, Copy, Debug)]
+pub enum Hull<'a> {
+    /// That of corners.
+    Of(&'a [DVec3]),
+    /// A box: its middle and half its size.
+    Box(DVec3, DVec3),
+}
+
+impl Hull<'_> {
+    /// The least and the largest of m·p over its points p.
+    pub fn extent(&self, m: DVec3) -> (f64, f64) {
+        match self {
+            Self::Of(corners) => {
+                corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), c| {
+                    let value = m.dot(*c);
+                    (least.min(value), most.max(value))
+                })
+            }
+            Self::Box(middle, half) => {
+                let (value, reach) = (m.dot(*middle), m.abs().dot(*half));
+                (value - reach, value + reach)
+            }
+        }
+    }
+
+    /// The same for some m at a time, given by their coordinates.
+    #[inline]
+    pub fn extents<const N: usize>(&self, m: &[[f64; N]; 3]) -> ([f64; N], [f64; N]) {
+        let along = |p: &DVec3, lane: usize| m[0][lane] * p.x + m[1][lane] * p.y + m[2][lane] * p.z;
+        let (mut least, mut most) = ([f64::INFINITY; N], [f64::NEG_INFINITY; N]);
+        match self {
+            Self::Of(corners) => {
+                for c in *corners {
+                    for k in 0..N {
+                        let value = along(c, k);
+                        least[k] = if value < least[k] { value } else { least[k] };
+                        most[k] = if value > most[k] { value } else { most[k] };
+                    }
+                }
+            }
+            Self::Box(middle, half) => {
+                for k in 0..N {
+                    let value = along(middle, k);
+                    let reach = m[0][k].abs() * half.x + m[1][k].abs() * half.y + m[2][k].abs() * half.z;
+                    (least[k], most[k]) = (value - reach, value + reach);
+                }
+            }
+        }
+        (least, most)
+    }
+}
