@@ -158,7 +158,8 @@ impl Tets {
 
     /// The engine that takes less time for points like this one, by how much each goes through for it: the
     /// same question gives the same engine on every machine. In the conservative mode it is always the cells,
-    /// which come in order, so that less of what is behind is listed. `scratch.seen` holds no answer afterwards.
+    /// which come in order, so that less of what is behind is listed. `scratch.seen` holds no answer
+    /// afterwards.
     ///
     /// # Errors
     /// [`LookError`] for numbers that are out of range.

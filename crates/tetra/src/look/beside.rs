@@ -24,11 +24,11 @@ fn size(v: V) -> f64 {
 impl Edges {
     /// The edges of three points; nothing if it is open from which side they are seen.
     ///
-    /// With a and e the sizes of a way and of an edge's vector, both of which are rounded once, a component of
-    /// their cross product is at most 2ae and errs by at most 10uae, up to second order: 4uae from the vectors,
-    /// and 6uae from products and a difference. Its scalar product with a vector of size d that is rounded
-    /// once too errs by at most 3 · 10uaed + 3 · 2uaed from these, and by 5u · 6aed from products and sums:
-    /// 128uaed is more. What underflows loses less than [`LEAST`] each time.
+    /// With a and e the sizes of a way and of an edge's vector, both of which are rounded once, a component
+    /// of their cross product is at most 2ae and errs by at most 10uae, up to second order: 4uae from the
+    /// vectors, and 6uae from products and a difference. Its scalar product with a vector of size d that is
+    /// rounded once too errs by at most 3 · 10uaed + 3 · 2uaed from these, and by 5u · 6aed from products and
+    /// sums: 128uaed is more. What underflows loses less than [`LEAST`] each time.
     #[inline]
     pub fn of(eye: &Eye<'_>, points: [u32; 3]) -> Option<Self> {
         let places = points.map(|p| eye.point(p));

@@ -4,9 +4,9 @@
 //! The patch begins with a guess. Where it ends inside of the beam, the beam is cut along the edge at which
 //! it does: most often a surface ends there or turns away, and something else is seen beyond. If it covers
 //! the beam, all that waits is compared with it. Where a triangle is in front of it, what is seen there first
-//! begins the next patch; a triangle that goes through it cuts the beam along the line where both meet; one with the points of a piece is seen with
-//! it, and another one in its plane is left to [`super::meeting`]. What is behind a patch that covers the
-//! beam is forgotten for all parts of the beam.
+//! begins the next patch; a triangle that goes through it cuts the beam along the line where both meet; one
+//! with the points of a piece is seen with it, and another one in its plane is left to [`super::meeting`].
+//! What is behind a patch that covers the beam is forgotten for all parts of the beam.
 
 use crate::surfaces::BLOCKS;
 

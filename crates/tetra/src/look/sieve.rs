@@ -3,9 +3,9 @@
 //! A plane is kept as a normal n and a number c, so that n · (p − x) + c is negative for what is on its outer
 //! side: c is 0 for a side of the beam, and the plane's distance for a cap. Coordinates are scaled by a power
 //! of two that brings ways to the scene below 1. Bounds on all roundings are added to the left side: what is
-//! left out is left out for certain, and what is kept may still be outside. A viewpoint so far from the origin
-//! beside its distance from the scene that it overflows once it is scaled has an infinite bound, so that
-//! nothing is left out.
+//! left out is left out for certain, and what is kept may still be outside. A viewpoint so far from the
+//! origin beside its distance from the scene that it overflows once it is scaled has an infinite bound, so
+//! that nothing is left out.
 
 use glam::{DVec3, Vec3, Vec3A, Vec4};
 
