@@ -128,14 +128,6 @@ impl Planes {
         if side.negative() { normal.reversed() } else { *normal }
     }
 
-    /// On which side a corner is: 1 inside, −1 outside, 0 on the plane.
-    #[inline]
-    pub fn side_of(&mut self, eye: &Eye<'_>, corner: &Corner, side: Side) -> i32 {
-        let plane = self.list[side.plane()];
-        let sign = self.sign_of(eye, corner, &plane);
-        if side.negative() { -sign } else { sign }
-    }
-
     /// The sign of a corner's product with a plane's normal.
     #[inline]
     pub fn sign_of(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &Plane) -> i32 {
