@@ -7,7 +7,7 @@ use serde_json::json;
 use sightline_scene::Scene;
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
-use sightline_tetra::surfaces::Surfaces;
+use sightline_tetra::surfaces::{FLAT, Surfaces};
 use sightline_tetra::{BuildError, Stage, TetsError, Watch, build};
 
 use crate::bake::peak_memory;
@@ -190,6 +190,7 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
         return refused(of_file(format!("{fault}; build it again")));
     }
     let (cells, triangles) = (contents.cells.cell_count(), contents.surfaces.triangles.len());
+    let with_area = contents.surfaces.flags.iter().filter(|f| **f & FLAT == 0).count();
     say(&format!("checked in {}", human(start.elapsed())));
     match json {
         true => print(&json!({"accepted": true, "cells": cells, "triangles": triangles}).to_string()),
@@ -197,7 +198,7 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
             "accepted: {} fill the box without overlap, neighbours agree, and each of {} with an area is \
              covered once",
             plural(cells, "cell"),
-            plural(triangles, "triangle")
+            plural(with_area, "triangle")
         )),
     }
 }
