@@ -77,7 +77,7 @@ mod tests {
     use super::super::beam::{self, Place};
     use super::super::outline::Outline;
     use super::super::planes::Planes;
-    use super::super::scratch::Rings;
+    use super::super::rings::Rings;
     use super::*;
     use crate::look::eye::unit_of;
 

@@ -16,6 +16,7 @@ mod outline;
 mod patch;
 mod pieces;
 mod planes;
+mod rings;
 mod rounded;
 mod scratch;
 mod search;

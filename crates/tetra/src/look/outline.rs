@@ -3,7 +3,7 @@
 use super::beam::{self, Edge, Place, Ring};
 use super::eye::Eye;
 use super::planes::{Facing, Plane, Planes};
-use super::scratch::Rings;
+use super::rings::Rings;
 
 /// A triangle whose plane does not hold the viewpoint.
 #[derive(Clone, Copy)]

@@ -1,10 +1,9 @@
 //! Memory that queries use again.
 
-use super::beam::Ring;
 use super::outline::Outlines;
 use super::pieces::Patch;
 use super::planes::Planes;
-use super::rounded::Rounded;
+use super::rings::Rings;
 use super::sieve::Sieve;
 use super::stack::{Beam, Entry, Stack};
 use super::view::Seen;
@@ -67,21 +66,6 @@ impl Entered {
     pub fn len(&self) -> usize {
         self.list.len()
     }
-}
-
-/// Rings that are made on the way.
-#[derive(Default)]
-pub(super) struct Rings {
-    pub signs: Vec<i32>,
-    pub inside: Ring,
-    pub next: Ring,
-    pub far: Ring,
-    /// The ways to the vertices of a face.
-    pub ways: Vec<Rounded>,
-    /// The cells that hold the viewpoint.
-    pub start: Vec<Entry>,
-    /// Parts outside of a triangle; most often fewer than three are in use.
-    pub out: [Ring; 3],
 }
 
 /// What is known of each triangle.
