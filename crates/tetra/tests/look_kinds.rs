@@ -269,3 +269,32 @@ fn the_engine_with_less_to_do_answers() {
         assert_eq!(answers(&given_up, engine), answers(&Scratch::default, engine));
     }
 }
+
+#[test]
+fn a_wide_cone_and_a_distance_that_have_nothing_in_common_show_nothing() {
+    // The cone leaves what is more than 1 away from the axis in the triangle's plane, the distance what is
+    // nearer to it.
+    let wall = tets(&[([[-10.0, -10.0, 1.0], [10.0, -10.0, 1.0], [0.0, 15.0, 1.0]], Kind::Opaque)]);
+    for (distance, seen) in [(1.2, false), (1.4, false), (1.42, true), (3.0, true)] {
+        let direction = Some([0.0, 0.0, -1.0]);
+        let (angle, distance) = (270f64.to_radians(), Some(distance));
+        let view = View { direction, angle, distance, ..View::default() };
+        for engine in [Engine::Boxes, Engine::Cells] {
+            let found = look(&wall, [0.0; 3], &view, engine);
+            assert_eq!(!found.visible.is_empty(), seen, "{distance:?} {engine:?}");
+            assert!(found.areas.iter().all(|a| *a > 1e-3), "{distance:?} {engine:?}");
+        }
+    }
+    let mut random = SplitMix64::new(2);
+    let mut number = |size: f64| size * (f64::from(random.unit_f32()) - 0.5);
+    for case in 0..3000 {
+        let triangle = [0; 3].map(|_| [0; 3].map(|_| number(8.0) as f32));
+        let direction = Some([0; 3].map(|_| number(1.0)));
+        let (angle, distance) = ((270.0 + number(160.0)).to_radians(), Some(2.0 + number(3.0)));
+        let view = View { direction, angle, distance, ..View::default() };
+        let one = tets(&[(triangle, Kind::Opaque)]);
+        let [boxes, cells] = [Engine::Boxes, Engine::Cells].map(|engine| look(&one, [0.0; 3], &view, engine));
+        assert_eq!(boxes.visible, cells.visible, "{case}");
+        assert!(boxes.areas.iter().all(|a| *a > 1e-9), "{case}: {:?}", boxes.areas);
+    }
+}

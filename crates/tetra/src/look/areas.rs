@@ -39,6 +39,13 @@ pub struct Cone {
     pub cosine: f64,
 }
 
+impl Cone {
+    /// Whether a direction of length 1 is inside.
+    pub fn holds(&self, way: V) -> bool {
+        dot(way, self.axis) > self.cosine
+    }
+}
+
 /// A piece of a region's border: from one direction to the next along a great circle, or along the circle of
 /// a cone.
 #[derive(Clone, Copy, Debug)]
@@ -49,6 +56,44 @@ struct Piece {
     circle: Option<usize>,
 }
 
+/// The part of a beam that is within some cones.
+enum Part {
+    /// All of the beam.
+    Whole,
+    /// There is none.
+    Nothing,
+    /// The beam is thinner than rounding: whether a corner of it is in the part.
+    Thin(bool),
+    /// The corners of the beam, and the border of the part.
+    Within(Vec<V>, Vec<Piece>),
+}
+
+fn part(ring: &[Edge], cones: &[Cone]) -> Part {
+    let mut ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
+    if cones.iter().all(|cone| ways.iter().all(|w| cone.holds(*w))) {
+        // Cones are convex.
+        return Part::Whole;
+    }
+    // Between corners that are one but for rounding a border has no direction.
+    ways.dedup_by(|a, b| is_near(a, b));
+    while ways.len() > 1 && is_near(&ways[0], &ways[ways.len() - 1]) {
+        ways.pop();
+    }
+    if ways.len() < 3 {
+        return Part::Thin(ways.iter().any(|w| cones.iter().all(|cone| cone.holds(*w))));
+    }
+    let mut border: Vec<Piece> = (0..ways.len())
+        .map(|k| Piece { from: ways[k], to: ways[(k + 1) % ways.len()], circle: None })
+        .collect();
+    for number in 0..cones.len() {
+        match within(&border, cones, number, |v| inside_ring(&ways, v)) {
+            Some(next) => border = next,
+            None => return Part::Nothing,
+        }
+    }
+    Part::Within(ways, border)
+}
+
 /// The solid angle of the part of a beam that is within all cones; nothing where there is no such part. With
 /// Gauss and Bonnet: 2π less the turns at the corners, less the curvature of the arcs, which on a circle is
 /// the cosine times the angle around its axis. At most two cones, none over a half space.
@@ -57,31 +102,37 @@ struct Piece {
 /// sign, as in parts that are thinner than rounding, the whole turn that the sum is off by is taken away, and
 /// what is left is within the beam's own solid angle.
 pub fn area_within(ring: &[Edge], cones: &[Cone]) -> Option<f64> {
-    let mut ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
-    let holds = |cone: &Cone, w: &V| dot(*w, cone.axis) > cone.cosine;
-    if cones.iter().all(|cone| ways.iter().all(|w| holds(cone, w))) {
-        // Cones are convex.
-        return Some(area(ring));
-    }
-    // Between corners that are one but for rounding a border has no direction.
-    ways.dedup_by(|a, b| is_near(a, b));
-    while ways.len() > 1 && is_near(&ways[0], &ways[ways.len() - 1]) {
-        ways.pop();
-    }
-    if ways.len() < 3 {
-        return ways.iter().any(|w| cones.iter().all(|cone| holds(cone, w))).then_some(0.0);
-    }
-    let mut border: Vec<Piece> = (0..ways.len())
-        .map(|k| Piece { from: ways[k], to: ways[(k + 1) % ways.len()], circle: None })
-        .collect();
-    for number in 0..cones.len() {
-        border = within(&border, cones, number, |v| inside_ring(&ways, v))?;
-    }
+    let (ways, border) = match part(ring, cones) {
+        Part::Whole => return Some(area(ring)),
+        Part::Nothing => return None,
+        Part::Thin(some) => return some.then_some(0.0),
+        Part::Within(ways, border) => (ways, border),
+    };
     let turn = 2.0 * PI;
     let sum = enclosed(&border, cones, |v| inside_ring(&ways, v)).rem_euclid(turn);
     let sum = if sum > PI { sum - turn } else { sum };
     // Not a number where the border is thinner than rounding everywhere.
     Some(if sum.is_nan() { 0.0 } else { sum.clamp(0.0, area(ring)) })
+}
+
+/// Whether the part of a beam that is within some cones is in another one as well, or there is none. The part
+/// is in an octant and the cone is convex, so it is enough that the part's border is.
+pub fn is_within(ring: &[Edge], cones: &[Cone], cone: &Cone) -> bool {
+    match part(ring, cones) {
+        Part::Whole => ring.iter().all(|e| cone.holds(unit(e.corner.way.v))),
+        Part::Nothing => true,
+        Part::Thin(_) => ring
+            .iter()
+            .map(|e| unit(e.corner.way.v))
+            .all(|w| cone.holds(w) || cones.iter().any(|other| !other.holds(w))),
+        Part::Within(_, border) => {
+            let is_in = |piece: &Piece| {
+                [piece.from, piece.to].iter().all(|v| cone.holds(*v))
+                    && crossings(piece, cones, cone).is_empty()
+            };
+            border.iter().all(is_in)
+        }
+    }
 }
 
 /// Whether two directions are one but for rounding.
@@ -139,7 +190,6 @@ fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
 /// The border of the part within one more cone; nothing if there is no such part.
 fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> bool) -> Option<Vec<Piece>> {
     let cone = &cones[number];
-    let inside = |v: V| dot(v, cone.axis) > cone.cosine;
     let mut kept: Vec<Piece> = Vec::new();
     for piece in border {
         let (centre, e, f, angle) = frame(piece, cones);
@@ -150,14 +200,14 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
         stops.push((angle, piece.to));
         for pair in stops.windows(2) {
             // Between two crossings all of the piece is on one side.
-            if pair[1].0 - pair[0].0 > SHORTEST && inside(at((pair[0].0 + pair[1].0) / 2.0)) {
+            if pair[1].0 - pair[0].0 > SHORTEST && cone.holds(at((pair[0].0 + pair[1].0) / 2.0)) {
                 kept.push(Piece { from: pair[0].1, to: pair[1].1, circle: piece.circle });
             }
         }
     }
     if kept.is_empty() {
         // All of the circle is inside of the region, or nothing is.
-        let others = cones[..number].iter().all(|c| dot(cone.axis, c.axis) > c.cosine);
+        let others = cones[..number].iter().all(|c| c.holds(cone.axis));
         if !(holds(cone.axis) && others) {
             return None;
         }

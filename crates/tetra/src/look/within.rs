@@ -1,6 +1,6 @@
 //! The round cone and the distance that limit a view.
 
-use super::areas::{Cone, area, area_within};
+use super::areas::{Cone, area, area_within, is_within};
 use super::beam::Edge;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
 use super::rounded::{Rounded, unit};
@@ -90,12 +90,8 @@ impl Limits {
         if !self.complement {
             return of(&both);
         }
-        // All of the beam in what is left out: a difference of rounded areas would not be 0.
-        let inside = |e: &Edge| {
-            let way = unit(e.corner.way.v);
-            way[0] * cone.axis[0] + way[1] * cone.axis[1] + way[2] * cone.axis[2] > cone.cosine
-        };
-        if ring.iter().all(inside) {
+        // All of it in what is left out: a difference of rounded areas would not be 0.
+        if is_within(ring, other.as_slice(), &cone) {
             return None;
         }
         let all = of(other.as_slice())?;
@@ -106,7 +102,7 @@ impl Limits {
     pub fn hold(&self, way: [f64; 3], face: Option<&Facing>) -> bool {
         let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         let way = unit(way);
-        let in_cone = self.cone.is_none_or(|c| (dot(way, c.axis) > c.cosine) != self.complement);
+        let in_cone = self.cone.is_none_or(|c| c.holds(way) != self.complement);
         let is_near = match (self.distance, face) {
             (Some(distance), Some(face)) => face.height.value < distance * dot(face.normal.v, way),
             _ => true,
