@@ -82,6 +82,9 @@ fn what_cannot_be_answered_is_refused_with_a_reason() {
     ambient("-o out.glb --texel 0.00001").code(3).says("--texel");
     ambient("-o out.glb --uv keep").code(3).says("TEXCOORD_1");
     ambient("-o hall.obj").code(3);
+    ambient("--points points.jsonl --cull-back-faces").code(2).says("either side");
+    ambient("-o out.glb --cull-back-faces").code(2).says("either side");
+    ambient("--points .").code(3).says("give --points a file");
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     sandbox.run("ambient town.glb -o town.glb").code(3).says("input itself");
 }

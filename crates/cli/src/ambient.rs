@@ -11,6 +11,11 @@ pub fn run(args: &AmbientArgs, json: bool) -> Result<(), CliError> {
             "--fragments, --lights and --threads are for --points; leave them out, or give points".to_owned(),
         ));
     }
+    if args.kinds.cull_back_faces {
+        return Err(CliError::Usage(
+            "triangles hide from either side here; leave out --cull-back-faces".to_owned(),
+        ));
+    }
     match (&args.points, &args.output) {
         (Some(_), Some(_)) => Err(CliError::Usage(
             "--points prints answers and -o writes a file; give one of the two".to_owned(),
