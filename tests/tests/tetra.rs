@@ -136,7 +136,11 @@ fn bad_points_angles_and_files_are_refused() {
     bad(r#"{"point":[0,0,0],"distance":-1}"#, "positive");
     bad(r#"{"point":[0,0,0],"targets":[{"min":[1,0,0],"max":[0,1,1]}]}"#, "above its max");
     bad(r#"{"point":[0,0,0],"direction":[1,0,0],"fov":1e-6}"#, "from 0.0001");
-    sandbox.run("look town.tets --points .").code(3).says("cannot be read");
+    bad(r#"[1,[0,0,1],null,null,null,[]]"#, "it is a list");
+    sandbox.write("marked.jsonl", "\u{feff}{\"point\":[1,2,3]}\n");
+    sandbox.ok("look town.tets --points marked.jsonl");
+    sandbox.run("look town.tets --points .").code(3).says("cannot be read").says("give --points a file");
+    sandbox.run("tetra town.glb -o town.tets --export .").code(2).says("give --export the name");
     sandbox.run("tetra town.glb -o same --export ./same").code(2).says("--export");
     // The nearest double to each number, and the same number back.
     sandbox.write("ulp.jsonl", "{\"id\":0.9970588684082031,\"point\":[1,2,3]}\n");

@@ -14,6 +14,9 @@ const BUFFER: usize = 1 << 20;
 /// Lines of this many bytes or more are refused.
 const LONGEST_LINE: u64 = 1 << 20;
 
+/// How UTF-8 marks itself.
+const BYTE_ORDER_MARK: &[u8] = "\u{feff}".as_bytes();
+
 /// The lines of a file or of stdin.
 pub struct JsonLines {
     /// What is read, for messages.
@@ -34,13 +37,17 @@ impl JsonLines {
         let source: Box<dyn Read> = if is_stdin {
             Box::new(std::io::stdin())
         } else {
-            let unreadable = |e| {
+            let unreadable = |e: std::io::Error| {
                 CliError::Input(format!(
                     "{} cannot be read: {e}; give {flag} a file of JSON Lines, or - for stdin",
                     path.display()
                 ))
             };
-            Box::new(std::fs::File::open(path).map_err(unreadable)?)
+            let file = std::fs::File::open(path).map_err(unreadable)?;
+            if file.metadata().map_err(unreadable)?.is_dir() {
+                return Err(unreadable(std::io::ErrorKind::IsADirectory.into()));
+            }
+            Box::new(file)
         };
         let name = if is_stdin { "stdin".to_owned() } else { path.display().to_string() };
         Ok(Self {
@@ -92,11 +99,19 @@ impl JsonLines {
             if read as u64 == LONGEST_LINE {
                 return Err(bad(format!("it is longer than {LONGEST_LINE} bytes; split the query")));
             }
-            if text.iter().all(u8::is_ascii_whitespace) {
+            // Some editors begin a file with a mark of its encoding.
+            let text = text.strip_prefix(BYTE_ORDER_MARK).filter(|_| self.lines == 1).unwrap_or(&text);
+            let text = text.trim_ascii();
+            if text.is_empty() {
                 continue;
             }
-            let line: L = serde_json::from_slice(&text)
-                .map_err(|e| bad(format!("it is no query ({e}); give {} on one line", self.example)))?;
+            let no_query =
+                |why: String| bad(format!("it is no query ({why}); give {} on one line", self.example));
+            if text[0] == b'[' {
+                // Fields in their order would be taken.
+                return Err(no_query("it is a list".to_owned()));
+            }
+            let line: L = serde_json::from_slice(text).map_err(|e| no_query(e.to_string()))?;
             return check(line).map(Some).map_err(bad);
         }
     }

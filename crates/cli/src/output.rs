@@ -52,6 +52,15 @@ impl Format {
         }
     }
 
+    /// The flag that names such files.
+    fn flag(self) -> &'static str {
+        match self {
+            Self::Vtu => "--export",
+            Self::Png => "--picture",
+            _ => "-o",
+        }
+    }
+
     /// The ending of the names of such files.
     pub fn extension(self) -> &'static str {
         match self {
@@ -91,54 +100,58 @@ impl Output {
     /// # Errors
     /// [`CliError::Usage`] with the reason.
     pub fn check(path: &Path, format: Format, input: Option<&Path>) -> Result<Self, CliError> {
+        let flag = format.flag();
         let refusal = |why: String| CliError::Usage(format!("{} cannot be written: {why}", path.display()));
         let refuse = |why: String| Err(refusal(why));
         if path.as_os_str() == "-" {
-            return refuse("results go to files, not to stdout; give -o a name".to_owned());
+            return refuse(format!("results go to files, not to stdout; give {flag} a name"));
         }
         if path.as_os_str().to_string_lossy().ends_with(std::path::is_separator) {
-            return refuse("that names a folder; give -o the name of a file".to_owned());
+            return refuse(format!("that names a folder; give {flag} the name of a file"));
         }
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
         if extension != format.extension() && KNOWN.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
-                "its name promises .{extension}, but the file is a .{ours}; give -o a name with this ending"
+                "its name promises .{extension}, but the file is a .{ours}; give {flag} a name with this \
+                 ending"
             ));
         }
         let target = match std::fs::canonicalize(path) {
             Ok(target) => target,
             Err(_) if path.is_symlink() => {
-                return refuse("it is a link to nothing; remove it or give -o another name".to_owned());
+                return refuse(format!("it is a link to nothing; remove it or give {flag} another name"));
             }
             Err(_) => path.to_owned(),
         };
         let folder = folder(&target);
         if !folder.is_dir() {
             return refuse(format!(
-                "there is no folder {}; make it, or give -o a file in another",
+                "there is no folder {}; make it, or give {flag} a file in another",
                 folder.display()
             ));
         }
         if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
-            return refuse("that is the input itself; give -o another name".to_owned());
+            return refuse(format!("that is the input itself; give {flag} another name"));
         }
         if let Ok(there) = std::fs::metadata(&target) {
             if there.is_dir() {
-                return refuse("it is a folder; give -o the name of a file".to_owned());
+                return refuse(format!("it is a folder; give {flag} the name of a file"));
             }
             if !there.is_file() {
-                return refuse(
-                    "it is no ordinary file (a device or a pipe); give -o another name".to_owned(),
-                );
+                return refuse(format!(
+                    "it is no ordinary file (a device or a pipe); give {flag} another name"
+                ));
             }
             let mut begins = Vec::new();
             File::open(&target)
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
-                .map_err(|e| refusal(format!("the file there cannot be read ({e}); give -o another name")))?;
+                .map_err(|e| {
+                    refusal(format!("the file there cannot be read ({e}); give {flag} another name"))
+                })?;
             if !begins.is_empty() && begins != format.magic() {
                 return refuse(format!(
-                    "the file there is no .{}; remove it, or give -o another name",
+                    "the file there is no .{}; remove it, or give {flag} another name",
                     format.extension()
                 ));
             }
@@ -147,7 +160,7 @@ impl Output {
         // Only an attempt shows reliably whether the folder is writable.
         let part = output.part();
         let tried = File::create(&part).map(drop).and_then(|()| std::fs::remove_file(&part));
-        tried.map_err(|e| refusal(format!("{e}; give -o a file in a folder where you may write")))?;
+        tried.map_err(|e| refusal(format!("{e}; give {flag} a file in a folder where you may write")))?;
         Ok(output)
     }
 

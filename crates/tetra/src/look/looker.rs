@@ -18,7 +18,7 @@ use super::within::Limits;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LookError {
     /// A coordinate that is not a finite number of single precision's range.
-    #[error("{what} has the coordinate {value}, which is not a finite number below 3.4e38; correct it")]
+    #[error("{what} has the coordinate {value:e}, which is not a finite number below 3.4e38; correct it")]
     Coordinate {
         /// What has it.
         what: &'static str,
