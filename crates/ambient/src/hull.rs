@@ -14,18 +14,8 @@ pub enum Hull<'a> {
 impl Hull<'_> {
     /// The least and the largest of m·p over its points p.
     pub fn extent(&self, m: DVec3) -> (f64, f64) {
-        match self {
-            Self::Of(corners) => {
-                corners.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), c| {
-                    let value = m.dot(*c);
-                    (least.min(value), most.max(value))
-                })
-            }
-            Self::Box(middle, half) => {
-                let (value, reach) = (m.dot(*middle), m.abs().dot(*half));
-                (value - reach, value + reach)
-            }
-        }
+        let ([least], [most]) = self.extents(&[[m.x], [m.y], [m.z]]);
+        (least, most)
     }
 
     /// The same for some m at a time, given by their coordinates.

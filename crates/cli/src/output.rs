@@ -37,7 +37,7 @@ pub enum Format {
 
 impl Format {
     /// The first bytes of a file of this format.
-    fn magic(self) -> &'static [u8] {
+    pub fn magic(self) -> &'static [u8] {
         match self {
             Self::Pvs => b"\x89PVS",
             Self::Ply => b"ply\n",

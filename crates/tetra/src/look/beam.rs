@@ -7,7 +7,7 @@
 
 use super::eye::Eye;
 use super::planes::{Corner, Facing, Kind, Plane, Planes, Side};
-use super::rounded::{BOUND, Rounded, unit};
+use super::rounded::{BOUND, Rounded, dot, unit};
 
 /// A corner of a ring and the side of the border from it to the next corner.
 #[derive(Clone, Copy, Debug)]
@@ -129,7 +129,6 @@ pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
 /// The widths of a beam as sines: the least distance between two parallel great circles around it, and the
 /// largest distance between two corners. Rounded: they decide what an angle leaves out, never what is seen.
 pub fn widths(planes: &Planes, ring: &[Edge]) -> (f64, f64) {
-    let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
     let mut narrow = f64::INFINITY;
     let mut wide = 0.0f64;
     for edge in ring {

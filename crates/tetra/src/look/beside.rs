@@ -5,7 +5,7 @@
 
 use super::beam::Edge;
 use super::eye::Eye;
-use super::rounded::{LEAST, Number, U, V, cross, dot};
+use super::rounded::{LEAST, Number, U, V, cross, dot, size};
 
 /// The edges of a triangle, as seen from the viewpoint.
 pub(super) struct Edges {
@@ -14,11 +14,6 @@ pub(super) struct Edges {
     normals: [V; 3],
     /// For each edge the product of the sizes of two vectors, whose cross product the normal is.
     sizes: [f64; 3],
-}
-
-/// The largest magnitude of a component.
-fn size(v: V) -> f64 {
-    v[0].abs().max(v[1].abs()).max(v[2].abs())
 }
 
 impl Edges {

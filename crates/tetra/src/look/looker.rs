@@ -166,8 +166,9 @@ impl<'a> Looker<'a> {
         search.begin(&sides, &[]);
         let is_enough = search.run(budget);
         let Scratch { planes, tally, seen, .. } = scratch;
-        tally.finish(view.witnesses, seen);
-        if !is_enough {
+        if is_enough {
+            tally.finish(view.witnesses, seen);
+        } else {
             seen.visible.clear();
             seen.areas.clear();
             seen.witnesses.clear();

@@ -101,15 +101,16 @@ pub(super) fn order(
     rings: &mut Rings,
 ) -> Order {
     let facing = &outline.facing;
-    let mut level = face.has_points_of(facing);
+    let level = face.has_points_of(facing);
     let is_behind = |p: &u32| face.points.contains(p) || face.hides(&[eye.to(*p)]);
     if !level && facing.points.iter().all(is_behind) || outline.is_beside(planes, eye, ring) {
         return Order::Hidden;
     }
-    let meet = (!level).then(|| face.meet(facing)).filter(|meet| {
-        level = meet.normal.size() <= meet.normal.error && face.is_level_with(eye, facing);
-        !level
-    });
+    // Two faces in one plane have no plane in which they meet.
+    let may_be_none = |meet: &Plane| meet.normal.size() <= meet.normal.error;
+    let meet = (!level)
+        .then(|| face.meet(facing))
+        .filter(|meet| !may_be_none(meet) || !face.is_level_with(eye, facing));
     if let Some(meet) = &meet {
         // Farther away in all of the ring, whatever part of it the triangle covers.
         let mut farther = false;

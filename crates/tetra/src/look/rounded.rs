@@ -28,6 +28,12 @@ pub fn cross(a: V, b: V) -> V {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
+/// The largest magnitude of a component.
+#[inline]
+pub fn size(v: V) -> f64 {
+    v[0].abs().max(v[1].abs()).max(v[2].abs())
+}
+
 /// The vector with length 1, without a bound.
 pub fn unit(v: V) -> V {
     let length = dot(v, v).sqrt();
@@ -84,7 +90,7 @@ impl Rounded {
     /// The largest magnitude of a component.
     #[inline]
     pub fn size(&self) -> f64 {
-        self.v[0].abs().max(self.v[1].abs()).max(self.v[2].abs())
+        size(self.v)
     }
 
     /// The cross product.

@@ -3,7 +3,7 @@
 use super::areas::{Cone, area, area_within, is_within};
 use super::beam::Edge;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
-use super::rounded::{Rounded, unit};
+use super::rounded::{Rounded, cross, dot, unit};
 use super::view::View;
 
 /// The limits of a view.
@@ -46,9 +46,6 @@ impl Limits {
         let Some(Cone { axis, .. }) = self.cone.filter(|_| self.half <= WIDEST) else { return Vec::new() };
         let least = (0..3).min_by(|a, b| axis[*a].abs().total_cmp(&axis[*b].abs())).unwrap_or(0);
         let side: [f64; 3] = std::array::from_fn(|k| f64::from(u8::from(k == least)));
-        let cross = |a: [f64; 3], b: [f64; 3]| {
-            [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-        };
         let u = unit(cross(axis, side));
         let v = cross(axis, u);
         let half = self.half + MARGIN;
@@ -100,7 +97,6 @@ impl Limits {
 
     /// Whether a direction is within the cone, and a face that it meets nearer than the distance.
     pub fn hold(&self, way: [f64; 3], face: Option<&Facing>) -> bool {
-        let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
         let way = unit(way);
         let in_cone = self.cone.is_none_or(|c| c.holds(way) != self.complement);
         let is_near = match (self.distance, face) {
