@@ -85,6 +85,9 @@ fn what_cannot_be_answered_is_refused_with_a_reason() {
     ambient("--points points.jsonl --cull-back-faces").code(2).says("either side");
     ambient("-o out.glb --cull-back-faces").code(2).says("either side");
     ambient("--points .").code(3).says("give --points a file");
+    sandbox.write("none.jsonl", "");
+    let none = ambient("--points none.jsonl").code(0);
+    assert_eq!(none.err.lines().last(), Some("0 points"), "{}", none.err);
     sandbox.ok("generate town --triangles 2000 -o town.glb");
     sandbox.run("ambient town.glb -o town.glb").code(3).says("input itself");
 }

@@ -142,6 +142,11 @@ fn bad_points_angles_and_files_are_refused() {
     sandbox.run("look town.tets --points .").code(3).says("cannot be read").says("give --points a file");
     sandbox.run("tetra town.glb -o town.tets --export .").code(2).says("give --export the name");
     sandbox.run("tetra town.glb -o same --export ./same").code(2).says("--export");
+    sandbox.run("tetra --check town.glb .").code(3).says("directory");
+    sandbox.run("info .").code(3).says("directory");
+    sandbox.write("line.obj", "v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n");
+    sandbox.ok("tetra line.obj -o line.tets");
+    assert!(sandbox.ok("tetra --check line.obj line.tets").contains("each of 0 triangles"));
     // The nearest double to each number, and the same number back.
     sandbox.write("ulp.jsonl", "{\"id\":0.9970588684082031,\"point\":[1,2,3]}\n");
     let out = sandbox.ok("look town.tets --points ulp.jsonl");
