@@ -25,3 +25,9 @@ pub mod union_find;
 pub mod varint;
 
 pub use aabb::Aabb;
+
+/// Largest absolute coordinate of scenes and view boxes.
+///
+/// Tracers multiply three lengths of a scene in single precision: at most (2·10⁹·√3)³ ≈ 4·10²⁸, far below the
+/// largest `f32`. Embree ends the process where its hierarchy meets an infinity.
+pub const MAX_COORDINATE: f32 = 1e9;

@@ -20,41 +20,69 @@ pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
     zero(0, 1) && zero(1, 2) && zero(2, 0)
 }
 
-/// The sign of (b − a) × (p − a) in the plane: `Greater` when a, b, p turn counter-clockwise.
+/// Error bound of [`orient2d_filtered`], relative to the sum of the magnitudes of its two products.
 ///
-/// Filter: each of the two products comes from two rounded differences and one rounded product, and one
-/// rounded subtraction follows, so the result differs from the truth by at most ((1+u)⁴−1)(|L|+|R|) with L, R
-/// the true products. The computed |l| is at least (1−u)³|L|, which makes that at most 5u(|l|+|r|); 8u also
-/// covers the roundings made while the bound itself is computed.
+/// Halving this bound gives wrong signs: the tests have points whose sign is wrong by 2.0u.
+const ORIENT2D_BOUND: f64 = 3.001 * U;
+
+/// Error bound of [`orient3d_filtered`], relative to the sum of the magnitudes of its six products.
+///
+/// Halving this bound gives wrong signs: the tests have points whose sign is wrong by 4.7u.
+const ORIENT3D_BOUND: f64 = 7.001 * U;
+
+/// Returns the sign of (b − a) × (p − a) in the plane: `Greater` when a, b, p turn counter-clockwise.
 pub fn orient2d_sign(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Ordering {
+    orient2d_filtered(a, b, p).unwrap_or_else(|| {
+        // Expanded; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
+        let m = |x: f32, y: f32| f64::from(x) * f64::from(y);
+        sum_sign([
+            m(b[0], p[1]),
+            -m(b[0], a[1]),
+            -m(a[0], p[1]),
+            -m(b[1], p[0]),
+            m(b[1], a[0]),
+            m(a[1], p[0]),
+        ])
+    })
+}
+
+/// Returns the sign of [`orient2d_sign`] if `f64` decides it.
+///
+/// Each true difference is the rounded one times 1 + ε with |ε| ≤ u, and each exact product of rounded
+/// differences is off from the rounded product l or r by at most u|l| or u|r|. So the true determinant
+/// differs from l − r by at most (3u + 3u² + u³)(|l|+|r|). Rounding l − r does not change its sign, and
+/// divides its magnitude by at most 1 + u. The last thousandth of the bound covers the terms in u² and the
+/// roundings of the computed bound (Shewchuk 1997, section 4.3).
+fn orient2d_filtered(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Option<Ordering> {
     let d = |x: f32, y: f32| f64::from(x) - f64::from(y);
     let l = d(b[0], a[0]) * d(p[1], a[1]);
     let r = d(b[1], a[1]) * d(p[0], a[0]);
     let det = l - r;
-    if det.abs() > 8.0 * U * (l.abs() + r.abs()) {
-        return sign(det);
-    }
-    // Expanded; the ax·ay terms cancel. A product of two f32 has at most 48 bits and is exact.
-    let m = |x: f32, y: f32| f64::from(x) * f64::from(y);
-    sum_sign([m(b[0], p[1]), -m(b[0], a[1]), -m(a[0], p[1]), -m(b[1], p[0]), m(b[1], a[0]), m(a[1], p[0])])
+    (det.abs() > ORIENT2D_BOUND * (l.abs() + r.abs())).then(|| sign(det))
 }
 
-/// On which side of the plane through `a`, `b`, `c` the point `p` lies: the sign of (b − a) × (c − a) · (p −
-/// a), so `Greater` on the side the triangle's normal points to, `Equal` on the plane (or when there is no
-/// plane).
-///
-/// Filter: every one of the six triple products passes through three rounded differences, two rounded
-/// products and at most three rounded additions, so the error is at most ((1+u)⁸−1) times the sum of the true
-/// products' magnitudes, hence at most 10u times the sum of the computed ones; 16u covers computing the
-/// bound.
+/// Returns the side of the plane through `a`, `b`, `c` on which the point `p` lies: the sign of
+/// (b − a) × (c − a) · (p − a). It is `Greater` on the side the triangle's normal points to, `Equal` on the
+/// plane (or when there is no plane).
 pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
+    let exactly = || {
+        let rows = differences(a.as_dvec3(), [b, c, p].map(Vec3::as_dvec3));
+        rows.and_then(det3_small).unwrap_or_else(|| orient3d_expanded(a, b, c, p))
+    };
+    orient3d_filtered(a, b, c, p).unwrap_or_else(exactly)
+}
+
+/// Returns the sign of [`orient3d_sign`] if `f64` decides it.
+///
+/// Each of the six triple products loses at most 3u of its magnitude to the three rounded differences. It
+/// loses at most u to each of four operations: the product of two factors, the minor, the minor's product
+/// with the third factor, and the first of the two additions. The last addition does not change the sign.
+/// The sum is 7u of the magnitudes, and terms in u². The last thousandth of the bound covers these terms and
+/// the roundings of the computed bound (Shewchuk 1997, section 4.3).
+fn orient3d_filtered(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Option<Ordering> {
     let d = |x: Vec3| (x.as_dvec3() - a.as_dvec3()).to_array();
     let (det, magnitude) = det3(d(b), d(c), d(p));
-    if det.abs() > 16.0 * U * magnitude {
-        return sign(det);
-    }
-    let rows = differences(a.as_dvec3(), [b, c, p].map(Vec3::as_dvec3));
-    rows.and_then(det3_small).unwrap_or_else(|| orient3d_expanded(a, b, c, p))
+    (det.abs() > ORIENT3D_BOUND * magnitude).then(|| sign(det))
 }
 
 /// [`orient3d_sign`] for coordinates in `f64`.
@@ -186,8 +214,8 @@ pub fn dyadic(x: f64) -> (i64, i32) {
     (if x < 0.0 { -odd } else { odd }, exponent + zeros)
 }
 
-/// The determinant with the given rows, rounded, and the sum of the magnitudes of its six products.
-pub(crate) fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
+/// Computes the determinant with the given rows, rounded, and the sum of the magnitudes of its six products.
+pub fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
     let minor = |i: usize, j: usize| {
         let (l, r) = (x[i] * y[j], x[j] * y[i]);
         (l - r, l.abs() + r.abs())
@@ -276,6 +304,8 @@ fn sign(x: f64) -> Ordering {
     x.partial_cmp(&0.0).unwrap_or(Ordering::Equal)
 }
 
+#[cfg(test)]
+mod filter_tests;
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;

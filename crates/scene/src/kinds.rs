@@ -24,12 +24,21 @@ pub enum Kind {
     Masked = 4,
     /// Neither blocks nor shows, as what moves, and its place is an opening that can be shut at run time.
     Door = 5,
+    /// Neither blocks nor shows, because the file hides its node, and viewers do not draw it.
+    Hidden = 6,
 }
 
 impl Kind {
     /// All kinds, by number.
-    pub const ALL: [Self; 6] =
-        [Self::Opaque, Self::SeeThrough, Self::OccluderOnly, Self::Moving, Self::Masked, Self::Door];
+    pub const ALL: [Self; 7] = [
+        Self::Opaque,
+        Self::SeeThrough,
+        Self::OccluderOnly,
+        Self::Moving,
+        Self::Masked,
+        Self::Door,
+        Self::Hidden,
+    ];
 
     /// The kind that blocks and shows as given, everywhere.
     pub const fn of(blocks: bool, shows: bool) -> Self {
@@ -60,6 +69,7 @@ impl Kind {
             Self::Moving => "moving",
             Self::Masked => "masked",
             Self::Door => "doors",
+            Self::Hidden => "hidden",
         }
     }
 
@@ -241,8 +251,9 @@ impl Kinds {
         if self.any_masked() && !self.alpha_textures {
             return Err(bad("triangles are masked, but no texture was read".to_owned()));
         }
-        if self.rules.iter().any(|r| r.kind == Kind::Masked) {
-            return Err(bad("a rule makes triangles masked, which only a texture does".to_owned()));
+        if let Some(rule) = self.rules.iter().find(|r| matches!(r.kind, Kind::Masked | Kind::Hidden)) {
+            let kind = rule.kind.name();
+            return Err(bad(format!("a rule makes triangles {kind}, which only a file does")));
         }
         let mut texts = self.reasons.iter().chain(self.rules.iter().map(|r| &r.glob));
         if texts.any(|t| t.len() > MAX_TEXT) {

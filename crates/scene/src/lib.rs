@@ -39,5 +39,5 @@ pub use load::{load, load_bytes, load_with};
 pub use ply_out::write_mesh_ply;
 pub use scene::{Object, Scene, SceneDigest, Triangle};
 pub use sides::{Side, Sides};
-pub use sightline_numbers::Aabb;
+pub use sightline_numbers::{Aabb, MAX_COORDINATE};
 pub use sources::Source;

@@ -6,7 +6,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3};
-use sightline_numbers::Aabb;
+use sightline_numbers::{Aabb, MAX_COORDINATE};
 
 use crate::SceneError;
 use crate::kinds::{self, Kinds};
@@ -166,6 +166,25 @@ impl Scene {
             sources: Vec::new(),
             sides: Sides::both(),
         })
+    }
+
+    /// Checks that all coordinates are within ±[`MAX_COORDINATE`]. Loaders and tracers call it; exact queries
+    /// accept any finite scene.
+    ///
+    /// # Errors
+    /// [`SceneError::Bad`] with the first triangle that reaches farther.
+    pub fn check_reach(&self, file: &str) -> Result<(), SceneError> {
+        let corner = |v: &Vec3| v.abs().max_element() > MAX_COORDINATE;
+        let far =
+            self.triangles.iter().enumerate().find_map(|(i, t)| Some((i, t.v.iter().position(corner)?)));
+        let Some((i, corner)) = far else { return Ok(()) };
+        let v = self.triangles[i].v[corner];
+        Err(SceneError::bad(
+            file,
+            format!("triangle {i}, vertex {corner}"),
+            format!("its position ({}, {}, {}) is beyond ±{MAX_COORDINATE:e}", v.x, v.y, v.z),
+            "remove the vertex if it is astray, or move or scale the scene, and export again",
+        ))
     }
 
     /// The scene with the places of its objects in a glTF file, one for each, or none.

@@ -57,6 +57,8 @@ fn obj_faults_name_the_line() {
     bad("v 0 0\n", &["line 1", "no z"]);
     bad("v 0 0 nan\nf 1 1 1", &["line 1", "vertex 0", "z, nan, is not finite"]);
     bad("v 0 0 0\nv 1e99 0 0\n", &["line 2", "vertex 1", "not finite"]);
+    let stray = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 -1e19 0\nf 1 2 3\nf 1 2 4\n";
+    bad(stray, &["triangle 1, vertex 2", "is beyond ±1e9", "astray"]);
     bad("v 0 x 0\n", &["line 1", "\"x\" is not a number"]);
     bad("v 0 0 0\n\nf 1 1 2\n", &["line 3", "vertex 2", "has 1"]);
     bad("v 0 0 0\nf 1 1 -2\n", &["line 2", "vertex -2"]);
@@ -302,12 +304,42 @@ fn meshopt_faults() {
         g.glb()
     };
     let view = "buffer view 2, EXT_meshopt_compression";
-    refused("a.glb", &packed(|m| m["count"] = json!(1u64 << 50)), &[view, "too short"]);
+    refused("a.glb", &packed(|m| m["count"] = json!(1u64 << 50)), &[view, "unpack to"]);
+    refused("a.glb", &packed(|m| m["count"] = json!(1u64 << 20)), &[view, "too short"]);
     refused("a.glb", &packed(|m| m["count"] = json!(100)), &[view, "malformed"]);
     refused("a.glb", &packed(|m| m["byteStride"] = json!(6)), &[view, "stride"]);
     refused("a.glb", &packed(|m| m["filter"] = json!("OCTAHEDRAL")), &[view, "OCTAHEDRAL"]);
     refused("a.glb", &packed(|m| m["mode"] = json!("X")), &[view, "mode X"]);
     refused("a.glb", &packed(|m| m["byteLength"] = json!(9999)), &["buffer view 2", "reach beyond"]);
+}
+
+#[test]
+fn views_that_unpack_to_far_more_than_the_file_are_refused() {
+    // A byte of control stands for 256 elements of 4 bytes that are equal.
+    let blocks = 1 << 16;
+    let mut data = vec![0xa1];
+    data.resize(1 + blocks, 0xaa);
+    data.resize(1 + blocks + 24, 0);
+    let mut g = square();
+    let at = g.view(&data);
+    let packed = json!({"EXT_meshopt_compression": {
+        "buffer": 0, "byteOffset": g.json["bufferViews"][at]["byteOffset"], "byteLength": data.len(),
+        "byteStride": 4, "count": 256 * blocks, "mode": "ATTRIBUTES",
+    }});
+    let mut views = Vec::new();
+    for _ in 0..2 {
+        let length = 1024 * blocks;
+        let view = json!({"buffer": 0, "byteLength": length, "byteStride": 4, "extensions": packed});
+        let view = g.add("bufferViews", view);
+        let indices = json!({"bufferView": view, "componentType": 5125, "type": "SCALAR", "count": 6});
+        views.push(view);
+        let indices = g.add("accessors", indices);
+        g.mesh(json!([{"attributes": {"POSITION": 0}, "indices": indices}]));
+    }
+    let second = format!("buffer view {}, EXT_meshopt_compression", views[1]);
+    g.json["nodes"] = json!([{"mesh": 1}, {"mesh": 2}]);
+    g.json["scenes"] = json!([{"nodes": [0, 1]}]);
+    refused("a.glb", &g.glb(), &[&second, "unpack to 134217728 bytes"]);
 }
 
 #[test]

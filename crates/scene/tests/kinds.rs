@@ -70,6 +70,109 @@ fn what_moves_neither_blocks_nor_shows() {
     assert_eq!(kinds(&loaded), [Moving, Moving, Moving, Moving, Opaque]);
 }
 
+/// Returns the extension of a node that is visible or hidden.
+fn visible(visible: Value) -> Value {
+    json!({"KHR_node_visibility": {"visible": visible}})
+}
+
+#[test]
+fn hidden_node_hides_everything_below_it() {
+    use Kind::{Hidden, Opaque};
+    let plain = load(7, |_| {});
+    // 0 is hidden with 1, whose own field is true, and 2 below that; 3 and 4 are visible; 5 has no field.
+    let hide = |j: &mut Value| {
+        j["scenes"][0]["nodes"] = json!([0, 3, 4, 5, 6]);
+        j["nodes"][0]["extensions"] = visible(json!(false));
+        j["nodes"][0]["children"] = json!([1]);
+        j["nodes"][1]["extensions"] = visible(json!(true));
+        j["nodes"][1]["children"] = json!([2]);
+        j["nodes"][3]["extensions"] = visible(json!(true));
+        j["nodes"][5]["extensions"] = json!({"KHR_node_visibility": {}});
+    };
+    for list in ["extensionsUsed", "extensionsRequired"] {
+        let loaded = load(7, |j| {
+            hide(j);
+            j[list] = json!(["KHR_node_visibility"]);
+        });
+        assert_eq!(kinds(&loaded), [Hidden, Hidden, Hidden, Opaque, Opaque, Opaque, Opaque], "{list}");
+        assert!((0..3).all(|t| !loaded.scene.blocks(t) && !loaded.scene.shows(t)));
+        assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+        // Ids, objects and bounds stay; the kinds are part of the canonical bytes.
+        assert_eq!(loaded.scene.triangles(), plain.scene.triangles());
+        assert_eq!(loaded.scene.objects(), plain.scene.objects());
+        assert_eq!(loaded.scene.bounds(), plain.scene.bounds());
+        assert_ne!(loaded.scene.digest(), plain.scene.digest());
+        let again = sightline_scene::Scene::from_blob("blob", &loaded.scene.to_blob()).unwrap();
+        assert_eq!(again.kinds(), loaded.scene.kinds());
+        let counts = loaded.scene.kinds().counts();
+        let hidden = counts.iter().find(|c| c.kind == Hidden).unwrap();
+        assert_eq!((hidden.triangles, hidden.reason.as_str()), (3, "KHR_node_visibility"));
+    }
+}
+
+#[test]
+fn hidden_node_stays_hidden_against_extras_and_rules() {
+    use Kind::{Hidden, Opaque};
+    let hide = |j: &mut Value| {
+        j["nodes"][0]["extensions"] = visible(json!(false));
+        j["nodes"][0]["name"] = json!("ghost");
+        j["nodes"][0]["extras"] = json!({"sightline": {"blocks": true, "shows": true}});
+        j["nodes"][0]["skin"] = json!(0);
+        j["materials"] = json!([{"alphaMode": "BLEND", "name": "glass"}]);
+        j["meshes"][0]["primitives"][0]["material"] = json!(0);
+        j["animations"] = json!([{"channels": [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]}]);
+    };
+    assert_eq!(kinds(&load(2, hide)), [Hidden, Opaque]);
+    // A rule that matches hidden nodes only is a warning; one that matches others too is none.
+    let mut g = Gltf::default();
+    let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]);
+    for _ in 0..2 {
+        g.mesh(json!([{"attributes": {"POSITION": p}}]));
+    }
+    g.json["nodes"] = json!([{"mesh": 0}, {"mesh": 1}]);
+    g.json["scenes"][0]["nodes"] = json!([0, 1]);
+    hide(&mut g.json);
+    let rules = [(Kind::OccluderOnly, "gh?st"), (Opaque, "*")];
+    let rules = rules.map(|(kind, glob)| Rule::new(kind, glob).unwrap()).to_vec();
+    let options = Options { rules, ..Options::default() };
+    let loaded = load_bytes_with("test.glb", &g.glb(), None, &options).unwrap();
+    assert_eq!(kinds(&loaded), [Hidden, Opaque]);
+    assert_eq!(loaded.warnings.len(), 1, "{:?}", loaded.warnings);
+    assert!(loaded.warnings[0].starts_with("--occluder-only \"gh?st\" matches hidden nodes only"));
+}
+
+#[test]
+fn rule_cannot_hide() {
+    let loaded = load(1, |_| {});
+    let rules = vec![Rule { kind: Kind::Hidden, glob: "*".to_owned() }];
+    let hidden = sightline_scene::Kinds::from_runs([(1, Kind::Opaque, "by default")], rules);
+    let error = loaded.scene.with_kinds("test", hidden).unwrap_err().to_string();
+    assert!(error.contains("a rule makes triangles hidden, which only a file does"), "{error}");
+}
+
+#[test]
+fn animated_visibility_makes_triangles_moving() {
+    use Kind::{Hidden, Moving, Opaque};
+    // 0 is hidden at first and animated, 1 hangs below it; 2 is visible and animated; 3 is animated below 4,
+    // which no animation shows; 5 has no animation.
+    let loaded = load(6, |j| {
+        j["extensionsRequired"] = json!(["KHR_node_visibility", "KHR_animation_pointer"]);
+        j["scenes"][0]["nodes"] = json!([0, 2, 4, 5]);
+        j["nodes"][0]["children"] = json!([1]);
+        j["nodes"][0]["extensions"] = visible(json!(false));
+        j["nodes"][4]["children"] = json!([3]);
+        j["nodes"][4]["extensions"] = visible(json!(false));
+        let channel = |n: u32| {
+            let pointer = format!("/nodes/{n}/extensions/KHR_node_visibility/visible");
+            let target = json!({"KHR_animation_pointer": {"pointer": pointer}});
+            json!({"sampler": 0, "target": {"path": "pointer", "extensions": target}})
+        };
+        j["animations"] = json!([{"channels": [channel(0), channel(2), channel(3)]}]);
+    });
+    // In the order of the nodes, depth first: 0, 1, 2, 4, 3, 5.
+    assert_eq!(kinds(&loaded), [Moving, Moving, Moving, Hidden, Hidden, Opaque]);
+}
+
 #[test]
 fn the_nearest_extras_count_for_each_field() {
     use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};

@@ -49,6 +49,12 @@ const MOST: usize = 12 << 20;
 struct Random(u64);
 
 impl Random {
+    /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
+    fn new(seed: u64) -> Self {
+        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
+    }
+
     fn below(&mut self, n: usize) -> usize {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
@@ -194,7 +200,7 @@ fn mutated_files_load_or_are_refused() {
         for (s, seed) in seeds.iter().enumerate() {
             assert!(run(target, seed, name), "seed {s} of {name} must be valid");
             let mut accepted = 0;
-            let mut r = Random(0x9e37_79b9_7f4a_7c15 + s as u64);
+            let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
             for i in 0..ROUNDS {
                 let bytes = mutate(&mut r, &seeds, s);
                 accepted += usize::from(run(target, &bytes, &format!("{name}, seed {s}, mutation {i}")));

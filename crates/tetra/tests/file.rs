@@ -54,7 +54,12 @@ fn what_was_written_is_read() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.tets");
     std::fs::write(&path, &file).unwrap();
-    assert_eq!(Tets::open(&path).unwrap().contents(), built.contents());
+    let opened = Tets::open(&path).unwrap();
+    assert_eq!(opened.contents(), built.contents());
+    // A mapped file would end this process with SIGBUS at the next access.
+    std::fs::File::create(&path).unwrap();
+    assert_eq!(opened.contents(), built.contents());
+    assert!(matches!(Tets::open(&path), Err(TetsError::NotTets)));
     assert!(matches!(Tets::open(directory.path().join("b").as_path()), Err(TetsError::Open { .. })));
 }
 

@@ -30,7 +30,8 @@ fn rich() -> Maker {
     let lines = json!({ "attributes": primitive["attributes"], "mode": 1, "material": paint });
     let mesh = maker.push("meshes", json!({ "name": "box", "primitives": [primitive, lines], "extras": 7 }));
     let first = maker.node(json!({ "name": "left", "mesh": mesh, "extras": { "tag": "a" } }));
-    maker.node(json!({ "name": "right", "mesh": mesh, "translation": [3, 0, 0] }));
+    let hidden = json!({ "KHR_node_visibility": { "visible": false } });
+    maker.node(json!({ "name": "right", "mesh": mesh, "translation": [3, 0, 0], "extensions": hidden }));
     let times = maker.floats("SCALAR", &[0.0, 1.0]);
     let moves = maker.floats("VEC3", &[0., 0., 0., 0., 1., 0.]);
     maker.push(
@@ -39,7 +40,7 @@ fn rich() -> Maker {
                 "channels": [{ "sampler": 0, "target": { "node": first, "path": "translation" } }] }),
     );
     maker.push("cameras", json!({ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }));
-    maker.json["extensionsUsed"] = json!(["EXAMPLE_thing"]);
+    maker.json["extensionsUsed"] = json!(["EXAMPLE_thing", "KHR_node_visibility"]);
     maker.json["extensions"] = json!({ "EXAMPLE_thing": { "deep": [{ "er": null }] } });
     maker.json["extras"] = json!("of the file");
     maker

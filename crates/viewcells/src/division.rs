@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use serde::Serialize;
+use sightline_numbers::MAX_COORDINATE;
 
 use crate::cell::axis_name;
 use crate::kd_tree::{KdTree, PlaneError};
@@ -28,9 +29,9 @@ pub const GAP: f32 = 2.0;
 /// Why a division cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DivisionError {
-    /// The view box is empty, inverted or not finite.
+    /// The view box is empty, inverted, not finite, or farther from the origin than scenes may reach.
     #[error(
-        "the view box from {min:?} to {max:?} along {} is empty or not finite; \
+        "the view box from {min:?} to {max:?} along {} is empty, not finite or beyond ±{MAX_COORDINATE:e}; \
          give x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 and z0 < z1",
         axis_name(*axis)
     )]
@@ -129,7 +130,7 @@ impl Division {
     pub fn lattice(&self, min: Vec3, max: Vec3) -> Result<Lattice, DivisionError> {
         for axis in 0..3 {
             let (lo, hi) = (min[axis], max[axis]);
-            if !(lo.is_finite() && hi.is_finite() && lo < hi) {
+            if !(-MAX_COORDINATE <= lo && lo < hi && hi <= MAX_COORDINATE) {
                 return Err(DivisionError::Box { axis, min: lo, max: hi });
             }
         }

@@ -27,11 +27,24 @@ pub(super) struct Mark {
 impl Mark {
     /// Opaque, because nothing says otherwise.
     pub(super) const DEFAULT: Self = Self { kind: Kind::Opaque, reason: Cow::Borrowed(DEFAULT) };
+    /// Hidden by the file. No rule changes this kind.
+    pub(super) const HIDDEN: Self = Self::of(Kind::Hidden, "KHR_node_visibility");
 
     /// A kind for a reason that the program knows.
     pub(super) const fn of(kind: Kind, reason: &'static str) -> Self {
         Self { kind, reason: Cow::Borrowed(reason) }
     }
+}
+
+/// The names that a rule has matched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Hit {
+    /// The rule has matched no name.
+    Nothing,
+    /// The rule has matched names of hidden triangles only, which it does not change.
+    Hidden,
+    /// The rule has matched names of other triangles.
+    Shown,
 }
 
 /// The matcher of a glob. `*` matches any characters, `/` included, since names of objects contain it.
@@ -55,7 +68,7 @@ impl Rule {
 
 /// Collects the kinds and the sides of a scene's triangles, in id order.
 pub(super) struct Marks {
-    rules: Vec<(Rule, GlobMatcher, bool)>,
+    rules: Vec<(Rule, GlobMatcher, Hit)>,
     /// All names, when there are rules: for the names near a glob that matches nothing.
     names: BTreeSet<String>,
     runs: Vec<(u32, Mark)>,
@@ -79,7 +92,7 @@ impl Marks {
                     "mend the glob",
                 )
             })?;
-            Ok((rule.clone(), matcher, false))
+            Ok((rule.clone(), matcher, Hit::Nothing))
         });
         Ok(Self {
             rules: compiled.collect::<Result<_, SceneError>>()?,
@@ -95,18 +108,20 @@ impl Marks {
     /// Adds the next `count` triangles, which have these names (object, node, mesh, material), and the mark
     /// of the file unless a rule matches a name. Of several rules the last one counts.
     pub(super) fn push(&mut self, count: u32, names: &[&str], mark: &Mark) {
-        let ruled = self.ruled(names);
-        self.add(count, ruled.as_ref().unwrap_or(mark));
+        let decided = self.decide(names, mark.clone());
+        self.add(count, &decided);
     }
 
-    /// The mark of the last rule that matches one of these names.
-    pub(super) fn ruled(&mut self, names: &[&str]) -> Option<Mark> {
+    /// Returns the mark of the last rule that matches one of these names, or `mark` if no rule does or the
+    /// file hides the triangles.
+    pub(super) fn decide(&mut self, names: &[&str], mark: Mark) -> Mark {
+        let hidden = mark.kind == Kind::Hidden;
         let mut decided: Option<usize> = None;
         if !self.rules.is_empty() {
             for name in names.iter().copied().filter(|n| !n.is_empty()) {
                 for (at, (_, matcher, hit)) in self.rules.iter_mut().enumerate() {
                     if matcher.is_match(name) {
-                        *hit = true;
+                        *hit = (*hit).max(if hidden { Hit::Hidden } else { Hit::Shown });
                         decided = decided.max(Some(at));
                     }
                 }
@@ -115,10 +130,13 @@ impl Marks {
                 }
             }
         }
-        decided.map(|at| {
-            let rule = &self.rules[at].0;
-            Mark { kind: rule.kind, reason: format!("--{} {}", rule.kind.name(), rule.glob).into() }
-        })
+        match decided.filter(|_| !hidden) {
+            None => mark,
+            Some(at) => {
+                let rule = &self.rules[at].0;
+                Mark { kind: rule.kind, reason: format!("--{} {}", rule.kind.name(), rule.glob).into() }
+            }
+        }
     }
 
     /// Adds the next `count` triangles with a mark.
@@ -178,18 +196,21 @@ impl Marks {
             );
         }
         for (rule, _, hit) in &self.rules {
-            if !hit {
-                let near = near(&rule.glob, &self.names);
-                self.warnings.push(format!(
-                    "--{} {:?} matches no object and no material{}",
-                    rule.kind.name(),
-                    rule.glob,
-                    if near.is_empty() {
-                        String::new()
-                    } else {
-                        format!("; names like it: {}", near.join(", "))
-                    }
-                ));
+            let flag = format!("--{} {:?}", rule.kind.name(), rule.glob);
+            match hit {
+                Hit::Shown => {}
+                Hit::Hidden => self.warnings.push(format!(
+                    "{flag} matches hidden nodes only, which neither block nor show; make them visible in \
+                     the file (KHR_node_visibility)"
+                )),
+                Hit::Nothing => {
+                    let near = near(&rule.glob, &self.names);
+                    let near = match near.is_empty() {
+                        true => String::new(),
+                        false => format!("; names like it: {}", near.join(", ")),
+                    };
+                    self.warnings.push(format!("{flag} matches no object and no material{near}"));
+                }
             }
         }
         let rules = self.rules.into_iter().map(|(rule, ..)| rule).collect();

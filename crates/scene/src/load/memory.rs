@@ -27,6 +27,7 @@ pub fn from_memory(
     let mut names = Names::default();
     objects.iter_mut().for_each(|o| o.name = names.unique(std::mem::take(&mut o.name)));
     let scene = Scene::new(name, triangles, objects)?;
+    scene.check_reach(name)?;
     let sides = if options.cull_back_faces { marks.sides(scene.len()) } else { Sides::both() };
     let (kinds, masks, warnings) = marks.finish();
     Ok(Loaded { scene: scene.with_masks(name, kinds, masks)?.with_sides(name, sides)?, warnings })

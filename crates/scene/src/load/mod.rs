@@ -17,7 +17,7 @@ mod sniff;
 
 use std::path::Path;
 
-pub use self::gltf::uri_bytes;
+pub use self::gltf::{EXTENSIONS, Extension, Support, uri_bytes};
 use self::marks::Marks;
 use crate::{Rule, Scene, SceneError, Sides};
 pub use limits::Limits;
@@ -100,6 +100,7 @@ pub fn load_bytes_with(
         Kind::Gltf => gltf::parse_json(name, bytes, base_dir, limits, &mut marks),
         Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits, &mut marks),
     }?;
+    scene.check_reach(name)?;
     let sides = if options.cull_back_faces { marks.sides(scene.len()) } else { Sides::both() };
     let (kinds, masks, warnings) = marks.finish();
     Ok(Loaded { scene: scene.with_masks(name, kinds, masks)?.with_sides(name, sides)?, warnings })

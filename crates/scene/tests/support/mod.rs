@@ -21,7 +21,7 @@ impl Default for Gltf {
 }
 
 impl Gltf {
-    fn add(&mut self, list: &str, v: Value) -> usize {
+    pub fn add(&mut self, list: &str, v: Value) -> usize {
         let list = self.json[list].as_array_mut().unwrap();
         list.push(v);
         list.len() - 1
@@ -127,7 +127,7 @@ pub fn rich() -> Gltf {
     g
 }
 
-/// A view compressed with EXT_meshopt_compression, replacing the one accessor `a` reads.
+/// Replaces the data of accessor `a` by a view that is compressed with EXT_meshopt_compression.
 pub fn compress(g: &mut Gltf, a: usize, packed: &[u8], mode: &str, filter: &str, stride: usize) {
     let count = g.json["accessors"][a]["count"].clone();
     let at = g.bin.len();

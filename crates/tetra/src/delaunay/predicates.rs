@@ -19,12 +19,23 @@ use super::ties;
 /// Half a unit in the last place of 1: the largest relative error of one rounded operation.
 const U: f64 = f64::EPSILON / 2.0;
 
-/// Bound of the error of an orientation, times the product of the largest differences of each axis.
+/// Error bound of an orientation's sign, relative to the product of the largest differences of each axis.
 ///
-/// The determinant has 6 products of three differences. Each passes through at most 8 rounded operations
-/// (three differences, two products, three additions), so the error is at most ((1+u)⁸ − 1) · 6 times that
-/// product of true differences, less than 49 u times the computed one; 64 also covers computing the bound.
-const ORIENT_BOUND: f64 = 64.0 * U;
+/// Let these largest differences be 1, as in the filter. The determinant of a matrix with components of at
+/// most 1 is at most 4 (Hadamard), and so are the magnitudes of the products of a row with its minors, added
+/// up. Let the computed sign be wrong; then the exact determinant is 0 or has the other sign. First-order
+/// errors, in u:
+/// - Each row's differences are off by at most u, which changes the determinant by at most 4 per row: 12.
+/// - Each of the six products is off by at most 1: 6.
+/// - The roundings of the three minors, times the third row, add up to 4.
+/// - The roundings of the three products with the third row add up to 4.
+/// - The first sum is off by at most its magnitude. This sum and the third product cancel up to the error,
+///   and all three products add up to at most 4, so the sum is at most 2: 2.
+/// - The last sum rounds without a change of its sign: 0.
+///
+/// The total is 28. The last thousandth covers the terms in u² and the roundings of the bound. Halving this
+/// bound gives wrong signs: the tests have points whose sign is wrong by 15.5u.
+const ORIENT_BOUND: f64 = 28.001 * U;
 
 /// Bound of the error of [`Predicates::conflicts`]'s determinant, times the product of the largest
 /// differences of each axis and the square of the largest of all.
@@ -71,13 +82,16 @@ impl<'a> Predicates<'a> {
     pub(super) fn orient(&self, corners: [u32; 4]) -> Ordering {
         let [a, b, c, d] = corners.map(|k| self.at(k));
         let rows = [b, c, d].map(|p| minus(p, a));
-        let most = largest(&rows);
+        self.orient_filtered(&rows).unwrap_or_else(|| orient3d_sign(a.into(), b.into(), c.into(), d.into()))
+    }
+
+    /// Returns the sign of the determinant of differences of points if `f64` decides it.
+    #[inline]
+    fn orient_filtered(&self, rows: &[[f64; 3]; 3]) -> Option<Ordering> {
+        let most = largest(rows);
         let size = most[0] * most[1] * most[2];
         let det = det(&rows[0], &rows[1], &rows[2]);
-        if det.abs() > ORIENT_BOUND * size || 6.0 * size <= self.exact3 {
-            return sign(det);
-        }
-        orient3d_sign(a.into(), b.into(), c.into(), d.into())
+        (det.abs() > ORIENT_BOUND * size || 6.0 * size <= self.exact3).then(|| sign(det))
     }
 
     /// Whether point `e` is inside the circumsphere of a tetrahedron of positive [`Self::orient`] that it is
@@ -85,25 +99,14 @@ impl<'a> Predicates<'a> {
     pub(super) fn conflicts(&self, corners: [u32; 4], e: u32) -> bool {
         let origin = self.at(e);
         let rows = corners.map(|k| minus(self.at(k), origin));
-        let most = largest(&rows);
-        let longest = most[0].max(most[1]).max(most[2]);
-        // Positive: the corners are not coplanar.
-        let size = most[0] * most[1] * most[2] * (longest * longest);
-        let cofactors = cofactors(&rows);
-        let lift = |k: usize| square(&rows[k]);
-        let value =
-            cofactors[0] * lift(0) + cofactors[1] * lift(1) + cofactors[2] * lift(2) + cofactors[3] * lift(3);
-        if value.abs() > CONFLICT_BOUND * size {
-            return value > 0.0;
-        }
-        let (side, signs) = if 72.0 * size <= self.exact5 {
-            // Every difference, cofactor, lift and sum is exact: none is larger than the sum of all
-            // magnitudes of its degree.
-            (sign(value), cofactors.map(sign))
-        } else {
-            let [a, b, c, d] = corners.map(|k| Vec3::from(self.at(k)));
-            let exact = differences(Vec3::from(origin).as_dvec3(), [a, b, c, d].map(|p| p.as_dvec3()));
-            exact.and_then(small_signs).unwrap_or_else(|| big_signs(origin, corners.map(|k| self.at(k))))
+        let (side, signs) = match self.conflicts_filtered(&rows) {
+            Some((Ordering::Equal, cofactors)) => (Ordering::Equal, cofactors.map(sign)),
+            Some((side, _)) => return side == Ordering::Greater,
+            None => {
+                let [a, b, c, d] = corners.map(|k| Vec3::from(self.at(k)));
+                let exact = differences(Vec3::from(origin).as_dvec3(), [a, b, c, d].map(|p| p.as_dvec3()));
+                exact.and_then(small_signs).unwrap_or_else(|| big_signs(origin, corners.map(|k| self.at(k))))
+            }
         };
         match side {
             Ordering::Greater => true,
@@ -111,19 +114,30 @@ impl<'a> Predicates<'a> {
             Ordering::Equal => ties::conflicts(corners, e, signs),
         }
     }
+
+    /// Returns the sign of the determinant of [`Self::conflicts`] if `f64` decides it, and the cofactors,
+    /// whose signs are exact if the determinant is 0.
+    #[inline]
+    fn conflicts_filtered(&self, rows: &[[f64; 3]; 4]) -> Option<(Ordering, [f64; 4])> {
+        let most = largest(rows);
+        let longest = most[0].max(most[1]).max(most[2]);
+        // Positive: the corners are not coplanar.
+        let size = most[0] * most[1] * most[2] * (longest * longest);
+        let cofactors = cofactors(rows);
+        let lift = |k: usize| square(&rows[k]);
+        let value =
+            cofactors[0] * lift(0) + cofactors[1] * lift(1) + cofactors[2] * lift(2) + cofactors[3] * lift(3);
+        // In the second case every difference, cofactor, lift and sum is exact: none is larger than the sum
+        // of all magnitudes of its degree.
+        (value.abs() > CONFLICT_BOUND * size || 72.0 * size <= self.exact5).then(|| (sign(value), cofactors))
+    }
 }
 
-/// The sign of the orientation of three points with `x`: (a − x) × (b − x) · (c − x), for any finite `x`.
+/// Returns the sign of the orientation of three points with `x`: (a − x) × (b − x) · (c − x), for any finite
+/// `x`.
 pub(super) fn side([a, b, c]: [[f32; 3]; 3], x: [f64; 3]) -> Ordering {
-    let rows = [a, b, c].map(|p| [0, 1, 2].map(|k| f64::from(p[k]) - x[k]));
-    let most = largest(&rows);
-    // Products of two can underflow here, by at most 2⁻¹⁰⁷⁵ each; there are 6, each times less than 2¹⁶⁰, and
-    // 3 more: less than 2⁻⁹⁰⁰ together. Below 2¹⁶⁰ nothing overflows.
-    if most.iter().all(|m| *m < f64::from(2).powi(160)) {
-        let det = det(&rows[0], &rows[1], &rows[2]);
-        if det.abs() > ORIENT_BOUND * (most[0] * most[1] * most[2]) + f64::from(2).powi(-900) {
-            return sign(det);
-        }
+    if let Some(sign) = side_filtered([a, b, c], x) {
+        return sign;
     }
     let exact = differences(DVec3::from(x), [a, b, c].map(|p| Vec3::from(p).as_dvec3()));
     if let Some([a, b, c]) = exact.and_then(small_integers) {
@@ -133,6 +147,20 @@ pub(super) fn side([a, b, c]: [[f32; 3]; 3], x: [f64; 3]) -> Ordering {
     let [x, a, b, c] = big_rows([x, a.map(f64::from), b.map(f64::from), c.map(f64::from)]);
     let rows = [a, b, c].map(|p| minus_big(&p, &x));
     det(&rows[0], &rows[1], &rows[2]).cmp(&IBig::ZERO)
+}
+
+/// Returns the sign of [`side`] if `f64` decides it.
+fn side_filtered(points: [[f32; 3]; 3], x: [f64; 3]) -> Option<Ordering> {
+    let rows = points.map(|p| [0, 1, 2].map(|k| f64::from(p[k]) - x[k]));
+    let most = largest(&rows);
+    // Products of two can underflow here, by at most 2⁻¹⁰⁷⁵ each; there are 6, each times less than 2¹⁶⁰, and
+    // 3 more: less than 2⁻⁹⁰⁰ together. Below 2¹⁶⁰ nothing overflows.
+    if most.iter().any(|m| *m >= f64::from(2).powi(160)) {
+        return None;
+    }
+    let det = det(&rows[0], &rows[1], &rows[2]);
+    let bound = ORIENT_BOUND * (most[0] * most[1] * most[2]) + f64::from(2).powi(-900);
+    (det.abs() > bound).then(|| sign(det))
 }
 
 /// The signs of the determinant and the four cofactors, in integers of fixed width; `None` where differences
@@ -243,3 +271,6 @@ where
 {
     &row[0] * &row[0] + &row[1] * &row[1] + &row[2] * &row[2]
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,5 +10,5 @@ mod write;
 pub use contents::Contents;
 pub use error::TetsError;
 pub use layout::{Layout, Section, VERSION};
-pub use tets::Tets;
+pub use tets::{MAPPED_FROM, Tets};
 pub use write::write;

@@ -1,6 +1,7 @@
 //! An opened `.tets` file: questions about points, for any number of threads.
 
 use std::fs::File;
+use std::io::Read as _;
 use std::path::Path;
 
 use crate::look::{Budget, Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
@@ -21,6 +22,9 @@ pub struct Tets {
 const OF_BOXES: Budget = Budget { beam: 2.0, step: 0.5, most: f64::INFINITY };
 const OF_CELLS: Budget = Budget { beam: 8.0, step: 1.0, most: f64::INFINITY };
 
+/// Size in bytes from which [`Tets::open`] maps a file instead of reading it: 256 MiB.
+pub const MAPPED_FROM: u64 = 256 << 20;
+
 enum Bytes {
     Mapped(memmap2::Mmap),
     /// In words, so that they start at a multiple of 8, and their number of bytes.
@@ -34,6 +38,26 @@ impl Bytes {
             Self::Owned(words, length) => &bytemuck::cast_slice(words)[..*length],
         }
     }
+
+    /// Reads a file that had `length` bytes when it was opened. A file that is cut while it is read gives
+    /// fewer bytes, which the header's length shows.
+    fn read(file: File, length: u64) -> std::io::Result<Self> {
+        let no_memory = || std::io::Error::from(std::io::ErrorKind::OutOfMemory);
+        let count = usize::try_from(length).map_err(|_| no_memory())?.div_ceil(8);
+        let mut words: Vec<u64> = Vec::new();
+        words.try_reserve_exact(count).map_err(|_| no_memory())?;
+        words.resize(count, 0);
+        let (bytes, mut file) = (bytemuck::cast_slice_mut::<u64, u8>(&mut words), file.take(length));
+        let mut filled = 0;
+        loop {
+            match file.read(&mut bytes[filled..]) {
+                Ok(0) => return Ok(Self::Owned(words, filled)),
+                Ok(more) => filled += more,
+                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(e) => return Err(e),
+            }
+        }
+    }
 }
 
 impl std::fmt::Debug for Tets {
@@ -43,11 +67,13 @@ impl std::fmt::Debug for Tets {
 }
 
 impl Tets {
-    /// Maps a file into memory and checks its checksums and all its numbers. The operating system can drop
-    /// pages that are not used afterwards.
+    /// Opens a file and checks its checksums and all its numbers. Below [`MAPPED_FROM`] bytes the file is
+    /// read into memory, and later changes of the file do not matter.
     ///
-    /// The file must not be changed in place while it is open. Replace it by writing another file and
-    /// renaming it.
+    /// A larger file is mapped: the operating system loads its pages as they are used, and can drop them. A
+    /// mapped file must not be changed in place while it is open. If another program cuts it, the operating
+    /// system ends this process with SIGBUS. Replace it by writing another file and renaming it, as
+    /// `sightline tetra` does.
     ///
     /// # Errors
     /// [`TetsError`] for a file that cannot be read, was cut short or altered, or contradicts itself.
@@ -59,13 +85,12 @@ impl Tets {
         if metadata.is_dir() {
             return Err(failed(std::io::ErrorKind::IsADirectory.into()));
         }
-        if metadata.len() == 0 {
-            // An empty file cannot be mapped on every system.
-            return Err(TetsError::NotTets);
+        if metadata.len() < MAPPED_FROM {
+            return Self::checked(Bytes::read(file, metadata.len()).map_err(failed)?);
         }
         #[allow(unsafe_code, reason = "mapping a file is unsafe")]
         // SAFETY: the map is read-only, and any bytes are valid numbers. Another process must not change or
-        // truncate the file meanwhile, which the documentation above forbids.
+        // truncate the file while it is open, which the documentation above forbids.
         let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
         Self::checked(Bytes::Mapped(map))
     }

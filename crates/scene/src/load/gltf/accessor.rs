@@ -50,8 +50,7 @@ impl<'a> Accessor<'a> {
                 let bytes = buffers.view(source, root, v)?;
                 // A compressed view has its stride in the extension, too; some files have it only there.
                 let view = &root.buffer_views[v];
-                let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_ref());
-                let given = view.byte_stride.or(packed.map(|m| m.byte_stride));
+                let given = view.byte_stride.or(view.meshopt().map(|(_, m)| m.byte_stride));
                 stride = given.filter(|s| *s != 0).unwrap_or(size);
                 if stride < size {
                     return Err(bad(format!(

@@ -17,6 +17,12 @@ use super::{json, meshopt, uses};
 use crate::SceneError;
 use crate::load::limits::{Limits, read_file};
 
+/// Bytes to which the compressed views of any file may unpack, all together.
+const FREE_BYTES: u64 = 64 << 20;
+/// Further bytes to which the compressed views may unpack, for each byte of the file. Indices unpack to at
+/// most twelve times their size, and vertex data to less, unless most of them are equal.
+const MAX_DENSITY: u64 = 32;
+
 /// The buffers and the decoded views that are needed; the others stay empty.
 pub(super) struct Buffers<'a> {
     data: Vec<Option<Cow<'a, [u8]>>>,
@@ -78,10 +84,11 @@ impl<'a> Buffers<'a> {
             decoded: root.buffer_views.iter().map(|_| None).collect(),
             size: text.len() as u64,
         };
+        let mut unpacked: u64 = 0;
         for v in (0..wanted.len()).filter(|v| wanted[*v]) {
             let view = &root.buffer_views[v];
-            let packed = view.extensions.as_ref().and_then(|e| e.meshopt.as_deref());
-            let buffer = packed.map_or(view.buffer, |m| m.buffer);
+            let packed = view.meshopt();
+            let buffer = packed.map_or(view.buffer, |(_, m)| m.buffer);
             let Some(b) = root.buffers.get(buffer) else {
                 let reason = format!("it names buffer {buffer} of {}", root.buffers.len());
                 return Err(source.bad(format!("buffer view {v}"), reason));
@@ -91,10 +98,20 @@ impl<'a> Buffers<'a> {
                 this.size += bytes.len() as u64;
                 this.data[buffer] = Some(bytes);
             }
-            if let Some(m) = packed {
+            if let Some((extension, m)) = packed {
+                let bad = |why| source.bad(format!("buffer view {v}, {extension}"), why);
                 let bytes = this.range(source, v, buffer, m.byte_offset, m.byte_length)?;
-                let decoded = meshopt::decode(m, bytes)
-                    .map_err(|why| source.bad(format!("buffer view {v}, EXT_meshopt_compression"), why))?;
+                unpacked = unpacked.saturating_add(m.count.saturating_mul(m.byte_stride));
+                // Several views may name the same bytes.
+                let most = FREE_BYTES + MAX_DENSITY * this.size;
+                if unpacked > most {
+                    return Err(bad(format!(
+                        "the views up to this one unpack to {unpacked} bytes, and a file of {} bytes may \
+                         have {most}",
+                        this.size
+                    )));
+                }
+                let decoded = meshopt::decode(m, bytes).map_err(bad)?;
                 this.decoded[v] = Some(decoded);
             }
         }

@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::source::MESHOPT;
+
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Root {
@@ -70,6 +72,14 @@ pub(super) struct Node {
 pub(super) struct NodeExtensions {
     #[serde(rename = "EXT_mesh_gpu_instancing")]
     pub(super) instancing: Option<Instancing>,
+    #[serde(rename = "KHR_node_visibility")]
+    pub(super) visibility: Option<Visibility>,
+}
+
+/// The visibility of a node and of everything below it (KHR_node_visibility).
+#[derive(Debug, Deserialize)]
+pub(super) struct Visibility {
+    pub(super) visible: Option<bool>,
 }
 
 /// Instances of a node's mesh (EXT_mesh_gpu_instancing).
@@ -91,6 +101,12 @@ impl Node {
     /// The instances of the node's mesh, if the node has some.
     pub(super) fn instances(&self) -> Option<&InstanceAttributes> {
         Some(&self.extensions.as_ref()?.instancing.as_ref()?.attributes)
+    }
+
+    /// Returns true if the node hides itself and everything below it.
+    pub(super) fn is_hidden(&self) -> bool {
+        let visibility = self.extensions.as_ref().and_then(|e| e.visibility.as_ref());
+        visibility.is_some_and(|v| v.visible == Some(false))
     }
 }
 
@@ -213,11 +229,23 @@ pub(super) struct BufferView {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct ViewExtensions {
+    #[serde(rename = "KHR_meshopt_compression")]
+    meshopt_khr: Option<Box<MeshoptView>>,
     #[serde(rename = "EXT_meshopt_compression")]
-    pub(super) meshopt: Option<Box<MeshoptView>>,
+    meshopt_ext: Option<Box<MeshoptView>>,
 }
 
-/// A compressed buffer view (EXT_meshopt_compression).
+impl BufferView {
+    /// Returns the compressed data of the view and the name of their extension, if the view is compressed.
+    pub(super) fn meshopt(&self) -> Option<(&'static str, &MeshoptView)> {
+        let extensions = self.extensions.as_ref()?;
+        let [khr, ext] = MESHOPT;
+        let of_khr = extensions.meshopt_khr.as_deref().map(|view| (khr, view));
+        of_khr.or_else(|| extensions.meshopt_ext.as_deref().map(|view| (ext, view)))
+    }
+}
+
+/// A compressed buffer view (KHR_meshopt_compression, EXT_meshopt_compression).
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct MeshoptView {

@@ -1,16 +1,17 @@
 //! The kinds and sides of a glTF file's triangles: from materials, animations, skins and extras.
 //!
 //! A material with `alphaMode` MASK or BLEND, or with transmission, is see-through; one with MASK is masked
-//! when textures are read. The mesh of a node that an animation moves, or that has such an ancestor, and a
-//! skinned mesh are moving. `extras.sightline` with the fields `blocks` and `shows` goes before both; of
-//! several the one nearest to the triangles counts, for each field: that of the material, then of the mesh,
-//! the node, and the node's ancestors.
+//! when textures are read. The mesh of a node that an animation moves, shows or hides, or that has such an
+//! ancestor, and a skinned mesh are moving. `extras.sightline` with the fields `blocks` and `shows` goes
+//! before both; of several the one nearest to the triangles counts, for each field: that of the material,
+//! then of the mesh, the node, and the node's ancestors. The mesh of a hidden node is hidden, regardless of
+//! other properties in the file.
 
 use serde_json::Value;
 
 use super::alpha::{Alpha, MASK};
 use super::json;
-use super::source::Source;
+use super::source::{Source, VISIBILITY};
 use crate::kinds::Kind;
 use crate::load::marks::{Mark, Marks};
 
@@ -106,21 +107,42 @@ pub(super) fn materials(source: &Source<'_>, root: &json::Root, marks: &mut Mark
         .collect()
 }
 
-/// Whether an animation moves each node itself; its descendants move with it.
-pub(super) fn animated(root: &json::Root) -> Vec<bool> {
-    let mut moved = vec![false; root.nodes.len()];
+/// The properties of a node that animations change.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Animations {
+    /// True if an animation changes the transform of the node or another property besides its visibility.
+    moves: bool,
+    /// True if an animation shows or hides the node.
+    pub(super) visibility: bool,
+}
+
+impl Animations {
+    /// Returns true if an animation changes the node.
+    pub(super) fn any(self) -> bool {
+        self.moves || self.visibility
+    }
+}
+
+/// Returns the properties of each node itself that animations change; its descendants change with it.
+pub(super) fn animations(root: &json::Root) -> Vec<Animations> {
+    let mut all = vec![Animations::default(); root.nodes.len()];
     let channels = root.animations.iter().filter_map(|a| a.get("channels")?.as_array()).flatten();
     for target in channels.filter_map(|c| c.get("target")) {
         let pointer = || {
             let pointer = target.get("extensions")?.get("KHR_animation_pointer")?.get("pointer")?.as_str()?;
-            pointer.strip_prefix("/nodes/")?.split('/').next()?.parse::<u64>().ok()
+            let path = pointer.strip_prefix("/nodes/")?;
+            let (node, property) = path.split_once('/').unwrap_or((path, ""));
+            let visibility = property.strip_prefix("extensions/").and_then(|p| p.strip_prefix(VISIBILITY));
+            Some((node.parse::<u64>().ok()?, visibility.is_some()))
         };
-        let node = target.get("node").and_then(Value::as_u64).or_else(pointer);
-        if let Some(moved) = node.and_then(|n| moved.get_mut(usize::try_from(n).ok()?)) {
-            *moved = true;
+        let target = target.get("node").and_then(Value::as_u64).map(|node| (node, false)).or_else(pointer);
+        let Some((node, visibility)) = target else { continue };
+        if let Some(of) = usize::try_from(node).ok().and_then(|n| all.get_mut(n)) {
+            of.moves |= !visibility;
+            of.visibility |= visibility;
         }
     }
-    moved
+    all
 }
 
 /// The material of a primitive, if it has one that is there.
@@ -144,9 +166,9 @@ pub(super) fn alpha_of<'a>(primitive: &json::Primitive, materials: &'a [Material
     materials.get(usize::try_from(number).ok()?)?.alpha.as_ref()?.as_ref().ok()
 }
 
-/// The mark of a primitive's triangles. Those whose mask is to be read are [`Kind::Masked`].
+/// Returns the mark of a primitive's triangles: [`Kind::Masked`] if their mask is to be read.
 ///
-/// `node` holds the extras of the node and its ancestors; `skinned` and `animated` tell how it moves.
+/// `node` holds the extras of the node and its ancestors.
 pub(super) fn mark(
     (skinned, animated): (bool, bool),
     (node, mesh): (Extras, Extras),

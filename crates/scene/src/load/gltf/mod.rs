@@ -17,6 +17,7 @@ mod alpha;
 mod buffers;
 mod component;
 mod draco;
+mod extensions;
 mod images;
 mod instances;
 mod json;
@@ -39,47 +40,16 @@ use self::accessor::Accessors;
 use self::buffers::Buffers;
 pub use self::buffers::uri_bytes;
 use self::draco::Decoded;
+pub use self::extensions::{EXTENSIONS, Extension, Support};
 use self::images::Document;
-use self::source::{QUANTIZATION, Source};
+use self::source::Source;
 use self::textures::{Resolved, Textures};
 use super::limits::{EXPORT_AGAIN, Limits, too_many_objects, too_many_triangles};
-use super::marks::Marks;
+use super::marks::{Mark, Marks};
 use super::names::Names;
 use crate::kinds::Kind;
 use crate::masks::{Masks, Part};
 use crate::{Object, Scene, SceneError, Side, Triangle};
-
-/// Required extensions that do not change which triangles exist. A prefix ends in `_`.
-const HARMLESS: &[&str] = &[
-    "KHR_materials_",
-    "EXT_materials_",
-    "ADOBE_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-    "MSFT_texture_dds",
-    "MSFT_packing_",
-    "KHR_lights_",
-    "EXT_lights_",
-    "KHR_animation_pointer",
-    "KHR_audio",
-    "KHR_interactivity",
-    "KHR_node_hoverability",
-    "KHR_node_selectability",
-    "KHR_xmp",
-    "KHR_xmp_json_ld",
-    "EXT_mesh_features",
-    "EXT_instance_features",
-    "EXT_structural_metadata",
-    "CESIUM_primitive_outline",
-    "AGI_",
-    "VRMC_",
-];
-
-/// Required extensions that are implemented here.
-const IMPLEMENTED: &[&str] =
-    &[QUANTIZATION, MESHOPT, "EXT_mesh_gpu_instancing", "KHR_draco_mesh_compression"];
-/// Compressed buffer views.
-const MESHOPT: &str = "EXT_meshopt_compression";
 
 /// Reads a `.gltf` file.
 pub(super) fn parse_json(
@@ -149,7 +119,7 @@ fn build(
     let root: json::Root =
         serde_json::from_slice(json).map_err(|e| source.bad("glTF JSON", e.to_string()))?;
     check_version(source, &root)?;
-    check_extensions(source, &root)?;
+    extensions::check(source, &root, marks)?;
 
     let materials = kinds::materials(source, &root, marks);
     let document = if source.alpha_textures { Document::read(source, json)? } else { Document::default() };
@@ -182,7 +152,10 @@ fn build(
             }
             let name = names.unique(object_name(&root, draw, p));
             let material = kinds::material_of(part, &materials, || primitive::label(draw, p), marks);
-            let mark = kinds::mark((draw.skinned, draw.animated), (draw.extras, extras), material);
+            let mark = match draw.hidden {
+                true => Mark::HIDDEN,
+                false => kinds::mark((draw.skinned, draw.animated), (draw.extras, extras), material),
+            };
             let own = |name: &'_ Option<String>| name.clone().unwrap_or_default();
             let (node, material_name) =
                 (own(&root.nodes[draw.node].name), material.map_or("", |m| m.name.as_str()));
@@ -191,8 +164,9 @@ fn build(
             marks.push_side(count as u32, Side::of(double_sided, draw.mirrors()));
             // Both are at most `limits.triangles`, a u32.
             let (first, count) = (first as u32, count as u32);
-            let ruled = marks.ruled(&[name.as_str(), node.as_str(), own(&mesh.name).as_str(), material_name]);
-            let mut mark = ruled.unwrap_or(mark);
+            let mesh_name = own(&mesh.name);
+            let names = [name.as_str(), node.as_str(), mesh_name.as_str(), material_name];
+            let mut mark = marks.decide(&names, mark);
             if let (Kind::Masked, true, Some((of, given))) = (mark.kind, count > 0, alpha) {
                 match textures.resolve(&accessors, draw, p, (&of.label, given), marks)? {
                     Resolved::Whole(whole) => mark = whole,
@@ -264,23 +238,6 @@ fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneErro
     let shown: String = asked.chars().take(20).collect();
     let reason = format!("it needs glTF {shown}, and 2.0 is what is understood");
     Err(SceneError::bad(source.file, "asset", reason, "export it again as glTF 2.0"))
-}
-
-fn check_extensions(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
-    let harmless =
-        |name: &str| HARMLESS.iter().any(|h| if h.ends_with('_') { name.starts_with(h) } else { name == *h });
-    for name in &root.extensions_required {
-        if !IMPLEMENTED.contains(&name.as_str()) && !harmless(name) {
-            let shown: String = name.chars().take(80).collect();
-            return Err(SceneError::bad(
-                source.file,
-                "extensionsRequired",
-                format!("it needs the extension {shown}, which is not supported"),
-                format!("export it again without {shown}"),
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// `node/mesh#primitive`, with numbers for what has no name, and `node[instance]` for a node with instances.

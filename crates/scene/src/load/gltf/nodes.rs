@@ -16,8 +16,10 @@ pub(super) struct Draw {
     pub(super) instance: Option<u64>,
     pub(super) mesh: usize,
     pub(super) world: DAffine3,
-    /// Whether an animation moves the node or an ancestor.
+    /// True if an animation moves the node or an ancestor, or changes the visibility of one.
     pub(super) animated: bool,
+    /// True if the node or an ancestor is hidden, and no animation shows it.
+    pub(super) hidden: bool,
     /// Whether a skin deforms the mesh.
     pub(super) skinned: bool,
     /// The extras of the node and its ancestors.
@@ -46,10 +48,10 @@ pub(super) fn walk(
     let roots = roots(source, root)?;
     let mut met = vec![false; root.nodes.len()];
     let mut draws = Vec::new();
-    let moved = kinds::animated(root);
-    let start = |n: &usize| (*n, DAffine3::IDENTITY, false, Extras::default());
-    let mut stack: Vec<(usize, DAffine3, bool, Extras)> = roots.iter().rev().map(start).collect();
-    while let Some((n, parent, moves, outer)) = stack.pop() {
+    let animations = kinds::animations(root);
+    let start = |n: &usize| (*n, DAffine3::IDENTITY, [false; 2], Extras::default());
+    let mut stack: Vec<(usize, DAffine3, [bool; 2], Extras)> = roots.iter().rev().map(start).collect();
+    while let Some((n, parent, [moves, hides], outer)) = stack.pop() {
         let element = format!("node {n}");
         let Some(node) = root.nodes.get(n) else {
             return Err(source.bad(element, format!("it is named, but there are {} nodes", root.nodes.len())));
@@ -63,7 +65,8 @@ pub(super) fn walk(
         if !world.is_finite() {
             return Err(source.bad(element, "its transform, with those of its parents, is not finite"));
         }
-        let animated = moves || moved[n];
+        let animated = moves || animations[n].any();
+        let hidden = hides || (node.is_hidden() && !animations[n].visibility);
         let extras = Extras::read(node.extras.as_deref(), || element.clone(), marks).or(outer);
         if let Some(mesh) = node.mesh {
             if mesh >= root.meshes.len() {
@@ -71,9 +74,9 @@ pub(super) fn walk(
                 return Err(source.bad(element, reason));
             }
             let skinned = node.skin.is_some();
-            draws.push(Draw { node: n, instance: None, mesh, world, animated, skinned, extras });
+            draws.push(Draw { node: n, instance: None, mesh, world, animated, hidden, skinned, extras });
         }
-        stack.extend(node.children.iter().rev().map(|c| (*c, world, animated, extras)));
+        stack.extend(node.children.iter().rev().map(|c| (*c, world, [animated, hidden], extras)));
     }
     Ok(draws)
 }

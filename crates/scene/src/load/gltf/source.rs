@@ -7,6 +7,10 @@ use crate::load::limits::{EXPORT_AGAIN, Limits};
 
 /// Integer positions.
 pub(super) const QUANTIZATION: &str = "KHR_mesh_quantization";
+/// Compressed buffer views; of two in one view the first counts.
+pub(super) const MESHOPT: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_compression"];
+/// Hidden nodes.
+pub(super) const VISIBILITY: &str = "KHR_node_visibility";
 
 /// The context of all parts of the reader.
 pub(super) struct Source<'a> {

@@ -1,57 +1,143 @@
-//! Mode ATTRIBUTES of EXT_meshopt_compression, and the filter EXPONENTIAL.
+//! Mode ATTRIBUTES of the meshopt extensions: deltas between elements, byte by byte.
 
 /// Elements in a byte group.
 const GROUP: usize = 16;
+/// Maximum number of elements in a block.
+const BLOCK: usize = 256;
+/// Maximum number of bytes that a byte of compressed data stands for: a control byte of version 1 can stand
+/// for four bytes of each element of a block.
+pub(super) const DENSEST: u64 = 4 * BLOCK as u64;
 
-/// Decodes mode ATTRIBUTES, version 0, into `out`; `None` when the data are malformed. `stride` is a multiple
-/// of 4 in 4 ..= 256. Elements come in blocks. A block has the first bytes of all its elements, then the
-/// second bytes and so on, as zigzag deltas in groups of 16 with 0, 2, 4 or 8 bits a delta.
-pub(super) fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<()> {
-    let (&0xa0, body) = data.split_first()? else { return None };
-    // The tail has the element before the first one, padded in front.
-    let (mut rest, tail) = body.split_at_checked(body.len().checked_sub(stride.max(32))?)?;
-    let mut last = tail[tail.len() - stride..].to_vec();
-    let block = ((8192 / stride) & !(GROUP - 1)).min(256);
-    for elements in out.chunks_mut(block * stride) {
-        let groups = (elements.len() / stride).div_ceil(GROUP);
-        for (byte, previous) in last.iter_mut().enumerate() {
-            let (header, after) = rest.split_at_checked(groups.div_ceil(4))?;
-            rest = after;
-            for g in 0..groups {
-                let bits = header[g / 4] >> (g % 4 * 2) & 3;
-                let deltas = byte_group(&mut rest, bits)?;
-                for (i, delta) in deltas.into_iter().enumerate() {
-                    let Some(e) = elements.get_mut((g * GROUP + i) * stride + byte) else { break };
-                    *previous = previous.wrapping_add((delta >> 1) ^ (delta & 1).wrapping_neg());
-                    *e = *previous;
-                }
+/// Bits per delta of a byte group, by its code in the header of the group.
+const BITS_0: [u8; 4] = [0, 2, 4, 8];
+/// Bits per delta in version 1, with control mode 0 and with control mode 1.
+const BITS_1: [[u8; 4]; 2] = [[0, 1, 2, 4], [1, 2, 4, 8]];
+
+/// The relation between four bytes of an element and the same bytes of the previous element.
+#[derive(Clone, Copy)]
+enum Channel {
+    /// Differences of bytes.
+    Bytes,
+    /// Differences of two 16-bit numbers.
+    Words,
+    /// An exclusive or of 32-bit numbers, rotated left by a number of bits.
+    Xor(u32),
+}
+
+impl Channel {
+    /// Returns the channel with a number in the tail of version 1; `None` if the number has no meaning.
+    fn from_byte(byte: u8) -> Option<Self> {
+        match (byte & 15, byte >> 4) {
+            (0, 0) => Some(Self::Bytes),
+            (1, 0) => Some(Self::Words),
+            (2, rotation) => Some(Self::Xor(u32::from(rotation))),
+            _ => None,
+        }
+    }
+
+    /// Returns four bytes of an element, from four bytes of the previous element and the deltas.
+    fn apply(self, previous: [u8; 4], delta: [u8; 4]) -> [u8; 4] {
+        match self {
+            Self::Bytes => std::array::from_fn(|i| {
+                previous[i].wrapping_add((delta[i] >> 1) ^ (delta[i] & 1).wrapping_neg())
+            }),
+            Self::Words => {
+                let word = |of: [u8; 4], i: usize| u16::from_le_bytes([of[2 * i], of[2 * i + 1]]);
+                let sum = |i| {
+                    let d = word(delta, i);
+                    word(previous, i).wrapping_add((d >> 1) ^ (d & 1).wrapping_neg()).to_le_bytes()
+                };
+                let ([a, b], [c, d]) = (sum(0), sum(1));
+                [a, b, c, d]
             }
+            Self::Xor(rotation) => {
+                let d = u32::from_le_bytes(delta).rotate_right(rotation);
+                (u32::from_le_bytes(previous) ^ d).to_le_bytes()
+            }
+        }
+    }
+}
+
+/// Decodes mode ATTRIBUTES, version 0 or 1, into `out`; `None` when the data are malformed. `stride` is a
+/// multiple of 4 in 4 ..= 256.
+///
+/// Elements come in blocks. A block has the first bytes of all its elements, then the second bytes and so on,
+/// as deltas in groups of 16. The tail holds the element before the first one, and in version 1 the channel
+/// of each four bytes. A block of version 1 begins with two bits of control for each byte of an element.
+pub(super) fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<()> {
+    let (&header, body) = data.split_first()?;
+    let (of_channels, least) = match header {
+        0xa0 => (0, 32),
+        0xa1 => (stride / 4, 24),
+        _ => return None,
+    };
+    let tail = stride + of_channels;
+    let (mut rest, padded) = body.split_at_checked(body.len().checked_sub(tail.max(least))?)?;
+    let (last, channels) = padded[padded.len() - tail..].split_at(stride);
+    let mut channels = channels.iter().map(|b| Channel::from_byte(*b)).collect::<Option<Vec<_>>>()?;
+    channels.resize(stride / 4, Channel::Bytes);
+    let mut last = last.to_vec();
+    let block = ((8192 / stride) & !(GROUP - 1)).min(BLOCK);
+    let mut deltas = [[0; BLOCK]; 4];
+    for elements in out.chunks_mut(block * stride) {
+        let count = elements.len() / stride;
+        let (controls, after) = rest.split_at_checked(of_channels)?;
+        rest = after;
+        for (c, channel) in channels.iter().enumerate() {
+            for (b, deltas) in deltas.iter_mut().enumerate() {
+                let control = controls.get(c).map(|control| control >> (2 * b) & 3);
+                plane(&mut rest, control, &mut deltas[..count])?;
+            }
+            let mut previous = [0, 1, 2, 3].map(|b| last[4 * c + b]);
+            for (i, element) in elements.chunks_exact_mut(stride).enumerate() {
+                previous = channel.apply(previous, [0, 1, 2, 3].map(|b| deltas[b][i]));
+                element[4 * c..4 * c + 4].copy_from_slice(&previous);
+            }
+            last[4 * c..4 * c + 4].copy_from_slice(&previous);
         }
     }
     rest.is_empty().then_some(())
 }
 
-/// Sixteen deltas. With `code` 0 all are zero; with 1 and 2 they are packed in 2 or 4 bits, highest first,
-/// where the greatest value stands for a whole byte after the packed ones; with 3 they are whole bytes.
-fn byte_group(rest: &mut &[u8], code: u8) -> Option<[u8; GROUP]> {
-    let mut take = |n: usize| -> Option<&[u8]> {
-        let (head, tail) = rest.split_at_checked(n)?;
-        *rest = tail;
-        Some(head)
+/// Reads the deltas of one byte of all elements of a block. `control` is the control mode of version 1.
+fn plane(rest: &mut &[u8], control: Option<u8>, out: &mut [u8]) -> Option<()> {
+    let bits = match control {
+        None => BITS_0,
+        Some(control @ (0 | 1)) => BITS_1[usize::from(control)],
+        Some(2) => {
+            out.fill(0);
+            return Some(());
+        }
+        Some(_) => {
+            out.copy_from_slice(take(rest, out.len())?);
+            return Some(());
+        }
     };
+    let header = take(rest, out.len().div_ceil(GROUP).div_ceil(4))?;
+    for (g, group) in out.chunks_mut(GROUP).enumerate() {
+        let code = header[g / 4] >> (g % 4 * 2) & 3;
+        // The last group has sixteen deltas, too; those beyond the elements are not used.
+        group.copy_from_slice(&byte_group(rest, bits[usize::from(code)])?[..group.len()]);
+    }
+    Some(())
+}
+
+/// Reads sixteen deltas: none with 0 bits, whole bytes with 8, otherwise packed ones, where the largest value
+/// stands for a whole byte after the packed ones. Single bits are packed lowest first, others highest first.
+fn byte_group(rest: &mut &[u8], bits: u8) -> Option<[u8; GROUP]> {
     let mut out = [0; GROUP];
-    match code {
+    match usize::from(bits) {
         0 => {}
-        3 => out.copy_from_slice(take(GROUP)?),
-        _ => {
-            let bits = usize::from(code) * 2;
+        8 => out.copy_from_slice(take(rest, GROUP)?),
+        bits => {
             let escape = (1u8 << bits) - 1;
-            let packed = take(GROUP * bits / 8)?;
+            let packed = take(rest, GROUP * bits / 8)?;
             for (i, value) in out.iter_mut().enumerate() {
                 let at = i * bits;
-                *value = packed[at / 8] >> (8 - bits - at % 8) & escape;
+                let shift = if bits == 1 { at % 8 } else { 8 - bits - at % 8 };
+                *value = packed[at / 8] >> shift & escape;
                 if *value == escape {
-                    *value = take(1)?[0];
+                    *value = take(rest, 1)?[0];
                 }
             }
         }
@@ -59,14 +145,9 @@ fn byte_group(rest: &mut &[u8], code: u8) -> Option<[u8; GROUP]> {
     Some(out)
 }
 
-/// Filter EXPONENTIAL: 32-bit words of a signed 8-bit exponent and a signed 24-bit mantissa become `f32`.
-pub(super) fn exponential(bytes: &mut [u8]) {
-    for word in bytes.chunks_exact_mut(4) {
-        let v = i32::from_le_bytes([word[0], word[1], word[2], word[3]]);
-        let (exponent, mantissa) = (v >> 24, v << 8 >> 8);
-        // Exact in f64 and rounded once to f32. A value beyond its range becomes infinite, which is refused
-        // later.
-        let value = f64::from(mantissa) * 2f64.powi(exponent);
-        word.copy_from_slice(&(value as f32).to_le_bytes());
-    }
+/// Removes `n` bytes from the front of `rest`.
+fn take<'a>(rest: &mut &'a [u8], n: usize) -> Option<&'a [u8]> {
+    let (head, tail) = rest.split_at_checked(n)?;
+    *rest = tail;
+    Some(head)
 }

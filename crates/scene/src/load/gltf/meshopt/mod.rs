@@ -1,14 +1,19 @@
-//! EXT_meshopt_compression: decoding compressed buffer views (appendix A of the extension's specification).
+//! KHR_meshopt_compression and EXT_meshopt_compression: the decoding of compressed buffer views (appendix A
+//! of the specifications). The first adds version 1 of vertex data and the filter COLOR; the loader reads
+//! both under either name.
 //!
-//! The decoders are our own safe Rust, written from the extension's text: the crate `meshopt-rs` takes the
-//! size of an element from a Rust type, where a file gives any stride, and `meshopt` binds the C++ library,
-//! which needs a C++ compiler. The tests decode data encoded by `meshopt-rs`. Of the filters only EXPONENTIAL
-//! is decoded, the only one for positions.
+//! The decoders are our own safe Rust, written from the text of the extensions. The crate `meshopt-rs` knows
+//! version 0 only, and the type of an element at compile time, where a file gives any stride. The crate
+//! `meshopt` binds the C++ library, which needs a C++ compiler. The tests decode data encoded by
+//! `meshopt-rs`, and data of version 1 encoded by the C++ library. The filter OCTAHEDRAL is for normals,
+//! which are not read.
 
 mod attributes;
+mod filters;
 mod indices;
 
-use attributes::{attributes, exponential};
+use attributes::{DENSEST, attributes};
+use filters::Filter;
 use indices::{index_sequence, triangles};
 
 use super::json::MeshoptView;
@@ -21,31 +26,27 @@ pub(super) fn decode(view: &MeshoptView, data: &[u8]) -> Result<Vec<u8>, String>
     let truncated = || "its data are too short for its count".to_owned();
     let (count, stride) = (view.count, view.byte_stride);
     let size = count.checked_mul(stride).ok_or_else(truncated)?;
-    // A byte of the densest stream gives at most 64 bytes, since a group of sixteen zeros takes two bits.
-    if size / 64 > data.len() as u64 {
+    if size / DENSEST > data.len() as u64 {
         return Err(truncated());
     }
-    // The size is at most 64 times the length of a slice, and the count is at most the size.
-    let (count, stride, size) = (count as usize, stride as usize, size as usize);
-    let filter = view.filter.as_deref().unwrap_or("NONE");
+    // The size is at most a thousand times the length of a slice, and the count is at most the size.
+    let fits = |n: u64| usize::try_from(n).map_err(|_| truncated());
+    let (count, stride, size) = (fits(count)?, fits(stride)?, fits(size)?);
     match view.mode.as_str() {
         "ATTRIBUTES" => {
             if stride == 0 || stride > 256 || stride % 4 != 0 {
                 return Err(format!("its stride of {stride} bytes is not a multiple of 4 up to 256"));
             }
-            let mut out = vec![0; size];
+            let filter = Filter::parse(view.filter.as_deref(), stride)?;
+            let mut out = bytemuck::allocation::try_zeroed_vec(size)
+                .map_err(|()| format!("its {size} bytes do not fit in memory"))?;
             attributes(&mut out, stride, data).ok_or("its vertex data are malformed or truncated")?;
-            match filter {
-                "NONE" => {}
-                "EXPONENTIAL" => exponential(&mut out),
-                other => {
-                    let shown: String = other.chars().take(20).collect();
-                    return Err(format!("the filter {shown} is not one for positions"));
-                }
-            }
+            filter.apply(&mut out, stride);
             Ok(out)
         }
-        "TRIANGLES" | "INDICES" if filter != "NONE" => Err("indices cannot have a filter".to_owned()),
+        "TRIANGLES" | "INDICES" if view.filter.as_deref().is_some_and(|f| f != "NONE") => {
+            Err("indices cannot have a filter".to_owned())
+        }
         mode @ ("TRIANGLES" | "INDICES") => {
             if stride != 2 && stride != 4 {
                 return Err(format!("its stride is {stride} bytes, and indices take 2 or 4"));
