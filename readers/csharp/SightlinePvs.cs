@@ -119,7 +119,7 @@ namespace Sightline
         /// <summary>The objects of the triangles to draw from a cell, ascending.</summary>
         public uint[] VisibleObjects(uint cell) { return Set(2, cell); }
 
-        /// <summary>The objects of the undecided triangles.</summary>
+        /// <summary>The objects of undecided triangles of which no triangle is known to be visible.</summary>
         public uint[] UndecidedObjects(uint cell) { return Set(3, cell); }
 
         uint[] Set(uint set, uint cell)

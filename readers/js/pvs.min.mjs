@@ -102,20 +102,19 @@ a();
 b();
 return bytes[0] === 1;
 }
-function ids(flips, limit) {
-const found = [];
-let inside = false, from = 0, total = 0;
-for (let w = 0; w < flips.length; w++) {
-for (let word = flips[w]; word; word &= word - 1) {
-const at = w * 32 + 31 - Math.clz32(word & -word);
-if (inside) { found.push(from, at); total += at - from; } else from = at;
-inside = !inside;
-}
-}
-if (inside) { found.push(from, limit); total += limit - from; }
+function between(bounds) {
+let total = 0, i = 0;
+for (let k = 0; k < bounds.length; k += 2) total += bounds[k + 1] - bounds[k];
 const out = new Uint32Array(total);
-for (let k = 0, i = 0; k < found.length; k += 2) for (let id = found[k]; id < found[k + 1]; id++) out[i++] = id;
+for (let k = 0; k < bounds.length; k += 2) for (let id = bounds[k]; id < bounds[k + 1]; id++) out[i++] = id;
 return out;
+}
+function ids(flips) {
+const bounds = [];
+for (const at of Uint32Array.from(flips).sort()) {
+if (bounds.at(-1) === at) bounds.pop(); else bounds.push(at);
+}
+return between(bounds);
 }
 export class Pvs {
 static parse(buffer) {
@@ -179,9 +178,7 @@ for (let k = 0; k < sets; k++) {
 const size = varint(items, at, 'items'), coded = items.subarray(at.i, at.i += size);
 if (coded.length !== size) broken('items');
 const found = [];
-runs(coded, this.triangles, (start, end) => {
-for (let id = start; id < end; id++) found.push(id);
-}, 'items');
+runs(coded, this.triangles, (start, end) => found.push(start, end), 'items');
 this.#items.push(found);
 }
 if (at.i !== items.length) broken('items');
@@ -260,14 +257,17 @@ visible(cell) { return this.#set(5, cell); }
 undecided(cell) { return this.#set(6, cell); }
 trianglesOf(items) {
 if (!this.#items) return items;
-const of = this.items.kind === 'clusters' ? (k) => this.#items[k] : (k) => {
-const { first, count } = this.objects[k];
-return Uint32Array.from({ length: count }, (_, i) => first + i);
-};
-const never = this.items.kind === 'objects' ? new Set(this.#items[0]) : null;
-const all = [];
-for (const k of items) for (const id of of(k)) if (!never?.has(id)) all.push(id);
-return Uint32Array.from(all).sort();
+const objects = this.items.kind === 'objects' && this.objects, bounds = [];
+for (const k of items) {
+if (objects) bounds.push(objects[k].first, objects[k].first + objects[k].count);
+else for (const at of this.#items[k]) bounds.push(at);
+}
+const never = objects ? this.#items[0] : [];
+let n = 0;
+return between(bounds).sort().filter((id) => {
+while (never[n + 1] <= id) n += 2;
+return !(never[n] <= id);
+});
 }
 #set(number, cell) {
 if (!(Number.isInteger(cell) && cell >= 0 && cell < this.cells)) {
@@ -276,14 +276,12 @@ throw new PvsError(`there is no cell ${cell}`);
 const offsets = this.#offsets[number], limit = this.items.count;
 if (!offsets) return new Uint32Array(0);
 const base = this.#head.sections.get(number).offset + 8 * (this.#head.nodes + 1);
-const flips = new Int32Array((limit >>> 5) + 1);
-const turn = (at) => { flips[at >>> 5] ^= 1 << (at & 31); };
-const each = (start, end) => { turn(start); turn(end); };
+const flips = [], each = (start, end) => flips.push(start, end);
 const step = (node) => {
 const bytes = this.#read(base + offsets[node], offsets[node + 1] - offsets[node]);
 const go = (coded) => {
 const done = runs(coded, limit, each, `${SECTIONS[number]} set of cell ${cell}`) || !node;
-return done ? ids(flips, limit) : step(this.#parent[node]);
+return done ? ids(flips) : step(this.#parent[node]);
 };
 return bytes instanceof Promise ? bytes.then(go) : go(bytes);
 };

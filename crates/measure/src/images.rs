@@ -4,10 +4,10 @@
 //! and its name in its upper left corner.
 //! Each triangle has its own shade, so that shapes can be told apart.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write as _;
 use std::path::Path;
 
+use sightline_files::{Access, NewFile};
 use sightline_sampling::{CubeImage, SKY};
 
 use crate::error::MeasureError;
@@ -21,9 +21,9 @@ pub const WRONG: [u8; 3] = [210, 40, 40];
 /// Writes a cube image as a PNG of 3n × 2n pixels. `visible` is the cell's set as bits.
 pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(), MeasureError> {
     let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
-    let file = File::create(path).map_err(|e| failed(e.to_string()))?;
+    let mut file = NewFile::begin(path, Access::Shared).map_err(|e| failed(e.to_string()))?;
     let n = image.resolution;
-    let mut encoder = png::Encoder::new(BufWriter::new(file), 3 * n, 2 * n);
+    let mut encoder = png::Encoder::new(&mut file, 3 * n, 2 * n);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
@@ -47,7 +47,8 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
         stream.write_all(&line).map_err(|e| failed(e.to_string()))?;
     }
     stream.finish().map_err(|e| failed(e.to_string()))?;
-    writer.finish().map_err(|e| failed(e.to_string()))
+    writer.finish().map_err(|e| failed(e.to_string()))?;
+    file.commit().map_err(|e| failed(e.to_string()))
 }
 
 /// The glyphs of the faces' names, five rows of five bits each.

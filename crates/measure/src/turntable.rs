@@ -1,11 +1,10 @@
 //! A frame as an animated PNG: what a camera at the viewpoint sees while it turns once around the axis that
 //! points up.
 
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::Path;
 
 use glam::Vec3;
+use sightline_files::{Access, NewFile};
 use sightline_sampling::CubeImage;
 
 use crate::camera::Camera;
@@ -24,9 +23,9 @@ const RATE: u16 = 12;
 /// Writes the animation. `visible` is the cell's set as bits; `up` is 1 or 2, for y or z.
 pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64], up: usize) -> Result<(), MeasureError> {
     let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
-    let file = File::create(path).map_err(|e| failed(e.to_string()))?;
+    let mut file = NewFile::begin(path, Access::Shared).map_err(|e| failed(e.to_string()))?;
     let [wide, high] = SIZE;
-    let mut encoder = png::Encoder::new(BufWriter::new(file), wide, high);
+    let mut encoder = png::Encoder::new(&mut file, wide, high);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_animated(STEPS, 0).map_err(|e| failed(e.to_string()))?;
@@ -36,7 +35,8 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64], up: usize) 
         let picture = picture(image, visible, up, std::f32::consts::TAU * step as f32 / STEPS as f32);
         writer.write_image_data(&picture).map_err(|e| failed(e.to_string()))?;
     }
-    writer.finish().map_err(|e| failed(e.to_string()))
+    writer.finish().map_err(|e| failed(e.to_string()))?;
+    file.commit().map_err(|e| failed(e.to_string()))
 }
 
 /// What the camera sees after it has turned by an angle.

@@ -1,9 +1,9 @@
 //! The `.pvs` result: the kd-tree of view cells, the compressed visibility sets and the look-up at run time.
 //!
-//! A [`Builder`] takes the tree and then the sets of the cells in order, and writes one file. A [`Pvs`] maps
-//! a file into memory, checks every byte of it, finds the cell of a point and decodes the cell's set. This
+//! A [`Builder`] takes the tree and then the sets of the cells in order, and writes one file. A [`Pvs`] opens
+//! a file, checks every byte of it, finds the cell of a point and decodes the cell's set. This
 //! crate computes no visibility, knows no scene format and depends on no other crate of the workspace, so
-//! that an engine can use it alone.
+//! that an engine needs no other one.
 //!
 //! The file has these parts; all numbers are little-endian, and [`layout`] gives the bytes:
 //!
@@ -14,8 +14,7 @@
 //! - `objects`: names and triangle ranges, which tile all triangles;
 //! - `flags`: a word for each cell;
 //! - `visible`, `undecided`: a coded set for each tree node; a cell's set is the exclusive or of the sets on
-//!   its path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` says how the inner sets are
-//!   chosen);
+//!   its path from the root (Nirenstein 2003, appendix B.1; `hierarchy.rs` chooses the inner sets);
 //! - `columns`, optional: named statistics of the bake, one value for each cell;
 //! - `certificates`, optional: a certificate for each cell's set, opaque to this crate;
 //! - `pairs`, optional: which cells see which ([`Pvs::sees`]);
@@ -53,6 +52,8 @@ mod codec;
 mod columns;
 mod contributions;
 pub mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 mod hierarchy;
 pub mod items;
 pub mod layout;
@@ -61,7 +62,7 @@ pub mod pairs;
 mod parse;
 pub mod portals;
 pub mod reader;
-mod runs;
+pub mod runs;
 pub mod tree;
 
 pub use builder::{Builder, Cell, Header, Stats};
@@ -73,7 +74,7 @@ pub use layout::VERSION;
 pub use look::{LookError, Looker, View, ViewError};
 pub use pairs::{CellPairs, MOST_PAIR_CELLS, Relation};
 pub use portals::{Portal, Portals};
-pub use reader::{NodeBytes, Pvs};
+pub use reader::{MAPPED_FROM, NodeBytes, Pvs};
 pub use tree::{CellTree, MAX_DEPTH, Node};
 
 /// Bit 0 of a cell's flags: the cell's tile was set aside after failures, and all triangles count as visible.

@@ -88,7 +88,7 @@ impl<'a> Looker<'a> {
     /// Prepares look-ups in a result; `None` when it has no portals.
     ///
     /// # Errors
-    /// [`PvsError::Malformed`] for a file that was tampered with.
+    /// [`PvsError::Malformed`] for a file that was tampered with, [`PvsError::Memory`].
     pub fn new(pvs: &'a Pvs) -> Result<Option<Self>, PvsError> {
         let Some(portals) = pvs.portals()? else { return Ok(None) };
         let leaves = portals.leaves.len();
@@ -108,7 +108,16 @@ impl<'a> Looker<'a> {
                 *place += 1;
             }
         }
-        let triangles = pvs.triangle_count() as usize;
+        // The header's number of triangles may be anything, the ids in leaves are in the file.
+        let words = (pvs.triangle_count() as usize).div_ceil(64);
+        let zeros = || {
+            let mut bits = Vec::new();
+            let no_memory = |_| PvsError::Memory { triangles: pvs.triangle_count() };
+            bits.try_reserve_exact(words).map_err(no_memory)?;
+            bits.resize(words, 0);
+            Ok::<_, PvsError>(bits)
+        };
+        let most = portals.leaves.iter().map(Vec::len).sum::<usize>().min(pvs.triangle_count() as usize);
         let (mut runs, mut run_starts) = (Vec::new(), vec![0]);
         for ids in &portals.leaves {
             runs.extend(runs::from_ids(ids).chunks_exact(2).map(|run| [run[0], run[1]]));
@@ -127,9 +136,9 @@ impl<'a> Looker<'a> {
             nodes: Vec::with_capacity(portals.nodes.len() + 1),
             waiting: Vec::with_capacity(leaves),
             cell: NONE,
-            set: vec![0; triangles.div_ceil(64)],
-            seen: vec![0; triangles.div_ceil(64)],
-            visible: Vec::with_capacity(triangles),
+            set: zeros()?,
+            seen: zeros()?,
+            visible: Vec::with_capacity(most),
             shut: vec![false; portals.doors.len()],
             look: 0,
             pvs,

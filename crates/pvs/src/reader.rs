@@ -8,6 +8,7 @@ mod cells;
 mod sets;
 
 use std::fs::File;
+use std::io::Read as _;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -35,8 +36,22 @@ pub struct Pvs {
     portals: OnceLock<Option<Portals>>,
 }
 
+/// Size in bytes from which [`Pvs::open`] maps a file instead of reading it: 256 MiB.
+pub const MAPPED_FROM: u64 = 256 << 20;
+
+/// Reads a file that had `length` bytes when it was opened. A file that is cut while it is read gives fewer
+/// bytes, which the header's length shows.
+fn read(file: File, length: u64) -> std::io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let room = usize::try_from(length).map_err(|_| std::io::ErrorKind::OutOfMemory)?;
+    bytes.try_reserve_exact(room).map_err(|_| std::io::ErrorKind::OutOfMemory)?;
+    file.take(length).read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
 enum Bytes {
     Mapped(memmap2::Mmap),
+    Read(Vec<u8>),
     Owned(Arc<[u8]>),
 }
 
@@ -44,6 +59,7 @@ impl Bytes {
     fn get(&self) -> &[u8] {
         match self {
             Self::Mapped(map) => map,
+            Self::Read(bytes) => bytes,
             Self::Owned(bytes) => bytes,
         }
     }
@@ -56,30 +72,35 @@ impl std::fmt::Debug for Pvs {
 }
 
 impl Pvs {
-    /// Maps a file into memory and checks all of it. The operating system can drop pages that are not used
-    /// afterwards.
+    /// Opens a file and checks all of it. Below [`MAPPED_FROM`] bytes the file is read into memory, and later
+    /// changes of the file do not matter.
     ///
-    /// The file must not be changed in place while it is open. Replace a result by writing another file and
-    /// renaming it.
+    /// A larger file is mapped: the operating system loads its pages as they are used, and can drop them. A
+    /// mapped file must not be changed in place while it is open. If another program cuts it, the operating
+    /// system ends this process with SIGBUS (on Windows it does not let the other program do that). Replace
+    /// a result by writing another file and renaming it, as all commands of Sightline do.
     ///
     /// # Errors
     /// [`PvsError::Open`] when it cannot be read, otherwise as [`Self::from_bytes`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PvsError> {
-        let path = path.as_ref();
+        Self::open_mapping_from(path.as_ref(), MAPPED_FROM)
+    }
+
+    /// [`Self::open`] with another size from which files are mapped.
+    fn open_mapping_from(path: &Path, mapped_from: u64) -> Result<Self, PvsError> {
         let failed = |source| PvsError::Open { path: path.to_owned(), source };
         let file = File::open(path).map_err(failed)?;
         let metadata = file.metadata().map_err(failed)?;
         if metadata.is_dir() {
             return Err(failed(std::io::ErrorKind::IsADirectory.into()));
         }
-        if metadata.len() == 0 {
-            // An empty file cannot be mapped on every system.
-            return Err(PvsError::NotPvs);
+        if metadata.len() < mapped_from {
+            return Self::check(Bytes::Read(read(file, metadata.len()).map_err(failed)?));
         }
         #[allow(unsafe_code, reason = "mapping a file is unsafe")]
         // SAFETY: the map is read-only and used as bytes, for which any contents are valid. Another process
-        // must not change or truncate the file meanwhile, which the documentation above forbids; decoded
-        // numbers are checked before they are used as lengths or indices.
+        // must not change or truncate the file while it is open, which the documentation above forbids;
+        // decoded numbers are checked before they are used as lengths or indices.
         let map = unsafe { memmap2::Mmap::map(&file) }.map_err(failed)?;
         Self::check(Bytes::Mapped(map))
     }
@@ -282,9 +303,7 @@ impl Pvs {
             return Ok(None);
         }
         let bytes = contributions::of_cell(self.part(Section::Contributions), cell, self.layout.cells)?;
-        let mut items = Vec::new();
-        self.visible_items(cell, &mut items)?;
-        if items.len() != bytes.len() {
+        if self.visible_item_count(cell)? != bytes.len() {
             return Err(Section::Contributions.malformed("a cell has more or fewer than visible items"));
         }
         Ok(Some(bytes.iter().map(|b| Contribution::from_byte(*b)).collect()))
@@ -321,5 +340,34 @@ impl Pvs {
 
     fn leaf(&self, cell: u32) -> Result<u32, PvsError> {
         self.tree.leaf(cell).ok_or(PvsError::NoCell { cell, cells: self.layout.cells })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Builder, Header, Node};
+
+    #[test]
+    fn mapped_file_gives_same_sets_as_read_file() {
+        let tree = CellTree::new([[0.0; 3], [1.0; 3]], vec![Node::Leaf]).unwrap();
+        let object = Object { name: "all".into(), first: 0, count: 9, source: None };
+        let (method, info_json) = ("aggressive".into(), "{}".into());
+        let header = Header { triangles: 9, method, tree, objects: vec![object], info_json };
+        let mut builder = Builder::new(header).unwrap();
+        builder.push_cell(&[1, 2, 8], &[], 0).unwrap();
+        let mut file = Vec::new();
+        builder.finish(&mut file).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.pvs");
+        std::fs::write(&path, &file).unwrap();
+        for (mapped_from, is_mapped) in [(file.len() as u64, true), (file.len() as u64 + 1, false)] {
+            let pvs = Pvs::open_mapping_from(&path, mapped_from).unwrap();
+            assert_eq!(matches!(pvs.bytes, Bytes::Mapped(_)), is_mapped);
+            assert_eq!(pvs.bytes(), file);
+            let mut ids = Vec::new();
+            pvs.visible(0, &mut ids).unwrap();
+            assert_eq!(ids, [1, 2, 8]);
+        }
     }
 }

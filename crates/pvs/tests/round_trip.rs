@@ -140,17 +140,19 @@ proptest! {
             pvs.undecided(cell, &mut ids).unwrap();
             prop_assert_eq!(&ids, undecided);
             prop_assert_eq!(pvs.flags(cell).unwrap(), *flags);
-            for (set, undecided_set) in [(visible, false), (undecided, true)] {
-                let of = |o: &Object| set.iter().any(|&id| o.first <= id && id < o.first + o.count);
-                let objects: Vec<u32> =
-                    (0..).zip(&header.objects).filter(|(_, o)| of(o)).map(|(i, _)| i).collect();
-                if undecided_set {
-                    pvs.undecided_objects(cell, &mut ids).unwrap();
-                } else {
-                    pvs.visible_objects(cell, &mut ids).unwrap();
-                }
-                prop_assert_eq!(&ids, &objects);
-            }
+            prop_assert_eq!(pvs.visible_count(cell).unwrap() as usize, visible.len());
+            prop_assert_eq!(pvs.undecided_count(cell).unwrap() as usize, undecided.len());
+            let objects = |is_in: &dyn Fn(&Object) -> bool| -> Vec<u32> {
+                (0..).zip(&header.objects).filter(|(_, o)| is_in(o)).map(|(i, _)| i).collect()
+            };
+            let holds = |o: &Object, id: &u32| o.first <= *id && *id < o.first + o.count;
+            let drawn = |o: &Object| visible.iter().any(|id| holds(o, id));
+            let known = |id: &u32| undecided.binary_search(id).is_err();
+            let seen = |o: &Object| visible.iter().any(|id| known(id) && holds(o, id));
+            pvs.visible_objects(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, &objects(&drawn));
+            pvs.undecided_objects(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, &objects(&|o| drawn(o) && !seen(o)));
             let [lo, hi] = pvs.cell_bounds(cell).unwrap();
             prop_assert_eq!(pvs.find_cell(std::array::from_fn(|a| (lo[a] + hi[a]) / 2.0)), Some(cell));
             prop_assert_eq!(pvs.find_cell(lo), Some(cell));
@@ -159,6 +161,64 @@ proptest! {
         let no_cell = matches!(pvs.visible(beyond, &mut ids), Err(PvsError::NoCell { .. }));
         prop_assert!(no_cell);
     }
+}
+
+proptest! {
+    /// Sets over 3·10⁹ triangles are decoded without a bit for each.
+    #[test]
+    fn sets_over_billions_of_triangles_come_out(
+        cells in proptest::collection::vec(proptest::collection::btree_set(0u32..40, 0..30), 1..9),
+    ) {
+        let spread = |k: &u32| (k / 4) * 300_000_000 + k % 4;
+        let cells: Vec<Cell> = cells
+            .iter()
+            .map(|set| set.iter().map(spread).collect::<Vec<u32>>())
+            .map(|set| (set.clone(), set.into_iter().filter(|id| id % 3 == 0).collect(), 0))
+            .collect();
+        let header = header(3_000_000_000, tree(cells.len(), &[128]), &[2, 900_000_000, 1]);
+        let pvs = Pvs::from_bytes(build(header.clone(), &cells)).unwrap();
+        let mut ids = Vec::new();
+        for (cell, (visible, undecided, _)) in (0..).zip(&cells) {
+            pvs.visible(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, visible);
+            pvs.undecided(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, undecided);
+            let bounds = sightline_pvs::runs::from_ids(visible);
+            prop_assert_eq!(pvs.visible_bounds(cell).unwrap(), bounds);
+            let holds = |o: &Object| visible.iter().any(|id| o.first <= *id && id - o.first < o.count);
+            let objects: Vec<u32> =
+                (0..).zip(&header.objects).filter(|(_, o)| holds(o)).map(|(i, _)| i).collect();
+            pvs.visible_objects(cell, &mut ids).unwrap();
+            prop_assert_eq!(&ids, &objects);
+        }
+    }
+}
+
+#[test]
+fn object_with_visible_triangle_is_not_undecided() {
+    // Objects 0..2, 2..4 and 4..9: one visible and one undecided triangle, two undecided, and none.
+    let cell = (vec![0, 1, 2, 3], vec![1, 2, 3], 0);
+    let pvs = Pvs::from_bytes(build(header(9, tree(1, &[128]), &[2, 2]), &[cell])).unwrap();
+    let mut ids = Vec::new();
+    pvs.visible_objects(0, &mut ids).unwrap();
+    assert_eq!(ids, [0, 1]);
+    pvs.undecided_objects(0, &mut ids).unwrap();
+    assert_eq!(ids, [1]);
+}
+
+#[test]
+fn open_result_survives_truncation_of_its_file() {
+    let file = build(header(9, tree(2, &[128]), &[4]), &[(vec![0, 1, 5], vec![5], 0), (vec![1], vec![], 0)]);
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.pvs");
+    std::fs::write(&path, &file).unwrap();
+    let pvs = Pvs::open(&path).unwrap();
+    // A mapped file would end this process with SIGBUS at the next access.
+    std::fs::File::create(&path).unwrap();
+    let mut ids = Vec::new();
+    pvs.visible(0, &mut ids).unwrap();
+    assert_eq!(ids, [0, 1, 5]);
+    assert!(matches!(Pvs::open(&path), Err(PvsError::NotPvs)));
 }
 
 #[test]

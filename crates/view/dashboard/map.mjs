@@ -103,8 +103,12 @@ export class TileMap {
     pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     const counts = new Array(STATES.length).fill(0);
     for (const state of this.states) counts[state] += 1;
-    byId('map-legend').replaceChildren(...STATES.slice(1).map(([name, color], i) => element('li', [
-      element('span', '', { class: 'swatch', style: `background:${color}` }), `${counts[i + 1]} ${name}`])));
+    byId('map-legend').replaceChildren(...STATES.slice(1).map(([name, color], i) => {
+      const swatch = element('span', '', { class: 'swatch' });
+      // The page's policy forbids attributes of style.
+      swatch.style.background = color;
+      return element('li', [swatch, `${counts[i + 1]} ${name}`]);
+    }));
     if (this.boxes.length === 0) return;
     const { x, y, x0, y0, size } = this.scale();
     pen.strokeStyle = '#0004';

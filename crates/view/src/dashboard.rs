@@ -17,9 +17,20 @@ const MODULES: [&str; 8] = [
     include_str!("../dashboard/dashboard.mjs"),
 ];
 
-/// The page.
-pub fn dashboard() -> String {
-    fill(DOCUMENT, &[("style", STYLE.trim_end().to_owned()), ("program", program(&MODULES))])
+/// The button that ends a session.
+const LOGOUT: &str = "<form method=\"post\" action=\"/logout\"><button>Log out</button></form>";
+
+/// Returns the page. Its style and its program have the attribute `nonce`, which begins with a space or is
+/// empty; `has_sessions` adds a button that ends the session.
+pub fn dashboard(nonce: &str, has_sessions: bool) -> String {
+    let logout = if has_sessions { LOGOUT } else { "" };
+    let parts = [
+        ("nonce", nonce.to_owned()),
+        ("logout", logout.to_owned()),
+        ("style", STYLE.trim_end().to_owned()),
+        ("program", program(&MODULES)),
+    ];
+    fill(DOCUMENT, &parts)
 }
 
 #[cfg(test)]
@@ -30,6 +41,26 @@ mod tests {
     #[test]
     fn the_modules_are_one_program() {
         names_are_used_once(&program(&MODULES));
-        assert!(!dashboard().contains("{{"));
+        assert!(!dashboard("", false).contains("{{"));
+    }
+
+    #[test]
+    fn page_has_no_style_and_no_program_without_nonce() {
+        let page = dashboard(" nonce=\"x\"", true);
+        for element in ["<style", "<script"] {
+            let count = page.matches(element).count();
+            assert!(count > 0, "{element}");
+            assert_eq!(page.split(element).skip(1).filter(|rest| !with_nonce(rest)).count(), 0, "{element}");
+        }
+        assert!(page.contains("action=\"/logout\"") && !dashboard("", false).contains("/logout"));
+        // A policy with nonces forbids attributes of style and handlers in markup, also attributes that the
+        // program sets by name.
+        for attribute in [" style=", " style:", "{style:", " onclick="] {
+            assert!(!page.contains(attribute), "{attribute}");
+        }
+    }
+
+    fn with_nonce(rest: &str) -> bool {
+        rest.split('>').next().is_some_and(|attributes| attributes.ends_with(" nonce=\"x\""))
     }
 }

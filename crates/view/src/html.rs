@@ -53,6 +53,7 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
     });
     let parts = [
         ("title", escaped(&view.title)),
+        ("nonce", view.nonce.clone()),
         ("style", STYLE.trim_end().to_owned()),
         // A text in the description must not end the script element.
         ("meta", meta.to_string().replace('<', "\\u003c")),

@@ -70,6 +70,9 @@ pub struct View<'a> {
     pub ask: Option<Ask>,
     /// The cell in which the page begins.
     pub start: u32,
+    /// The attribute of the page's style and program that a content policy asks for, with a space before it;
+    /// empty for a file.
+    pub nonce: String,
 }
 
 /// An address of the page's own server that takes `{"job":…,"cell":…,"triangle":…}` as the call

@@ -26,6 +26,7 @@ impl<'a> View<'a> {
             caveat: caveat(pvs, scene, &info),
             ask: None,
             start: middling(pvs)?,
+            nonce: String::new(),
         })
     }
 }
@@ -57,16 +58,8 @@ pub fn each(pvs: &Pvs, name: &str, of: impl Fn(&Pvs, u32) -> Result<f32, PvsErro
 /// The heat maps that every result has numbers for.
 fn maps(pvs: &Pvs) -> Result<Vec<Map>, PvsError> {
     let mut all = vec![
-        each(pvs, "triangles in the set", |pvs, cell| {
-            let mut ids = Vec::new();
-            pvs.visible(cell, &mut ids)?;
-            Ok(ids.len() as f32)
-        })?,
-        each(pvs, "undecided triangles", |pvs, cell| {
-            let mut ids = Vec::new();
-            pvs.undecided(cell, &mut ids)?;
-            Ok(ids.len() as f32)
-        })?,
+        each(pvs, "triangles in the set", |pvs, cell| Ok(pvs.visible_count(cell)? as f32))?,
+        each(pvs, "undecided triangles", |pvs, cell| Ok(pvs.undecided_count(cell)? as f32))?,
         each(pvs, "bytes of the set", |pvs, cell| Ok(pvs.visible_bytes(cell)?.own as f32))?,
     ];
     all.retain(Map::says_something);
@@ -82,11 +75,10 @@ impl Map {
 
 /// The cell with viewpoints whose set is neither large nor small.
 fn middling(pvs: &Pvs) -> Result<u32, PvsError> {
-    let (mut ids, mut sizes) = (Vec::new(), Vec::new());
+    let mut sizes = Vec::new();
     for cell in 0..pvs.cells() {
         if pvs.is_reached(cell)? {
-            pvs.visible(cell, &mut ids)?;
-            sizes.push((ids.len(), cell));
+            sizes.push((pvs.visible_count(cell)?, cell));
         }
     }
     sizes.sort_unstable();

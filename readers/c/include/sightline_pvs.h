@@ -18,7 +18,7 @@
 // The objects of the triangles to draw.
 #define SIGHTLINE_VISIBLE_OBJECTS 2
 
-// The objects of the undecided triangles.
+// The objects of undecided triangles of which no triangle is known to be visible.
 #define SIGHTLINE_UNDECIDED_OBJECTS 3
 
 // An opened result.

@@ -213,7 +213,7 @@ pub const SIGHTLINE_VISIBLE: u32 = 0;
 pub const SIGHTLINE_UNDECIDED: u32 = 1;
 /// The objects of the triangles to draw.
 pub const SIGHTLINE_VISIBLE_OBJECTS: u32 = 2;
-/// The objects of the undecided triangles.
+/// The objects of undecided triangles of which no triangle is known to be visible.
 pub const SIGHTLINE_UNDECIDED_OBJECTS: u32 = 3;
 
 /// The ascending ids of a set of a cell, one of the numbers above. Writes at most `room` of them to `ids`,
@@ -232,6 +232,16 @@ pub unsafe extern "C" fn sightline_pvs_set(
 ) -> i64 {
     // SAFETY: as the caller promises.
     let pvs = &unsafe { &*pvs }.pvs;
+    let count = match set {
+        _ if room > 0 => None,
+        SIGHTLINE_VISIBLE => Some(pvs.visible_count(cell)),
+        SIGHTLINE_UNDECIDED => Some(pvs.undecided_count(cell)),
+        _ => None,
+    };
+    // A short file can claim more ids than fit in memory. Counting them needs no list.
+    if let Some(count) = count {
+        return count.map_or(-1, i64::from);
+    }
     let mut all = Vec::new();
     let read = match set {
         SIGHTLINE_VISIBLE => pvs.visible(cell, &mut all),

@@ -2,7 +2,9 @@
 //!
 //! A cell's set is the exclusive or of the sets on its path from the root, up to the first set that stands
 //! for itself. It is decoded on the boundaries of runs: each set flips the bits at which its runs start and
-//! end, and the prefix parity of these bits gives the members.
+//! end, and the prefix parity of these bits gives the members. The header's number of items must not decide
+//! how much memory is allocated: where a bit for each item would take many times more bytes than the coded
+//! sets, the boundaries are sorted instead.
 
 use std::ops::Range;
 
@@ -11,6 +13,13 @@ use crate::codec;
 use crate::error::PvsError;
 use crate::items::ItemTable;
 use crate::layout::{Section, u64_at};
+use crate::runs;
+
+/// Largest bit set, in bytes, that is allocated whatever the size of the coded sets.
+const MOST_FREE_BYTES: usize = 4 << 20;
+/// Largest number of bytes of boundaries for each byte of a coded set: a run has a code of at least one bit
+/// for its gap and one for its length.
+const MOST_GROWTH: usize = 32;
 
 /// How many bytes the nodes on one cell's root path take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,9 +62,15 @@ impl Pvs {
     /// out. An item that does not exist has none.
     pub fn item_triangles(&self, item: u32, ids: &mut Vec<u32>) {
         ids.clear();
+        ids.extend(self.item_bounds(item).chunks_exact(2).flat_map(|run| run[0]..run[1]));
+    }
+
+    /// [`Self::item_triangles`] as the boundaries of maximal runs ([`crate::runs`]).
+    pub fn item_bounds(&self, item: u32) -> Vec<u32> {
         if item < self.item_count() {
-            let bounds = self.items.triangles(&[item, item + 1], &self.objects);
-            ids.extend(bounds.chunks_exact(2).flat_map(|run| run[0]..run[1]));
+            self.items.triangles(&[item, item + 1], &self.objects)
+        } else {
+            Vec::new()
         }
     }
 
@@ -115,12 +130,66 @@ impl Pvs {
         self.objects_of(Section::Visible, cell, objects)
     }
 
-    /// The objects of which at least one triangle is undecided: `objects` becomes their ascending indices.
+    /// Reads the objects of which at least one triangle is undecided and none is known to be visible:
+    /// `objects` becomes their ascending indices, which are some of [`Self::visible_objects`].
     ///
     /// # Errors
     /// As [`Self::visible`].
     pub fn undecided_objects(&self, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
-        self.objects_of(Section::Undecided, cell, objects)
+        self.objects_of(Section::Undecided, cell, objects)?;
+        if objects.is_empty() || matches!(self.items, ItemTable::Objects { .. }) {
+            return Ok(());
+        }
+        let [visible, undecided] = [self.visible_bounds(cell)?, self.undecided_bounds(cell)?];
+        let [known] = runs::sweep([&visible, &undecided], |m| u32::from(m == 1));
+        let mut seen = Vec::new();
+        let mut next = 0;
+        known.chunks_exact(2).for_each(|run| self.touched(run[0]..run[1], &mut next, &mut seen));
+        objects.retain(|object| seen.binary_search(object).is_err());
+        Ok(())
+    }
+
+    /// Returns the triangles to draw from a cell as the boundaries of maximal runs: start, end, start, end,
+    /// …, ends exclusive ([`crate::runs`]).
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn visible_bounds(&self, cell: u32) -> Result<Vec<u32>, PvsError> {
+        self.bounds(Section::Visible, cell)
+    }
+
+    /// Returns the undecided triangles of a cell as [`Self::visible_bounds`].
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn undecided_bounds(&self, cell: u32) -> Result<Vec<u32>, PvsError> {
+        self.bounds(Section::Undecided, cell)
+    }
+
+    /// Returns the number of triangles to draw from a cell. Counting needs no memory for their ids.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn visible_count(&self, cell: u32) -> Result<u32, PvsError> {
+        self.count(Section::Visible, cell)
+    }
+
+    /// Returns the number of undecided triangles of a cell.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub fn undecided_count(&self, cell: u32) -> Result<u32, PvsError> {
+        self.count(Section::Undecided, cell)
+    }
+
+    /// Returns the number of items to draw from a cell.
+    ///
+    /// # Errors
+    /// As [`Self::visible`].
+    pub(super) fn visible_item_count(&self, cell: u32) -> Result<usize, PvsError> {
+        let mut count = 0;
+        self.each_item_run(Section::Visible, cell, |run| count += run.len())?;
+        Ok(count)
     }
 
     /// The bytes that a cell's visible set takes in the file.
@@ -130,15 +199,20 @@ impl Pvs {
     pub fn visible_bytes(&self, cell: u32) -> Result<NodeBytes, PvsError> {
         let leaf = self.leaf(cell)?;
         let own = self.set(Section::Visible, leaf)?.len() as u64;
-        let mut path = 0;
+        Ok(NodeBytes { own, path: self.path_bytes(Section::Visible, leaf)? as u64 })
+    }
+
+    /// Returns the bytes of the sets that are read to decode the set of a leaf.
+    fn path_bytes(&self, section: Section, leaf: u32) -> Result<usize, PvsError> {
+        let mut bytes = 0;
         for node in self.tree.path(leaf) {
-            let set = self.set(Section::Visible, node)?;
-            path += set.len() as u64;
+            let set = self.set(section, node)?;
+            bytes += set.len();
             if codec::is_absolute(set) {
                 break;
             }
         }
-        Ok(NodeBytes { own, path })
+        Ok(bytes)
     }
 
     /// Bytes of the whole file, of its visible sets and of its undecided sets (the sets with their offsets).
@@ -179,7 +253,19 @@ impl Pvs {
 
     fn item_ids(&self, section: Section, cell: u32, ids: &mut Vec<u32>) -> Result<(), PvsError> {
         ids.clear();
-        let words = self.marked(section, cell)?;
+        let words = match self.marks(section, cell)? {
+            Marks::Words(words) => words,
+            Marks::Bounds(bounds) => {
+                for run in bounds.chunks_exact(2) {
+                    let run = run[0]..run[1];
+                    if ids.try_reserve(run.len()).is_err() {
+                        return Err(self.no_memory());
+                    }
+                    ids.extend(run);
+                }
+                return Ok(());
+            }
+        };
         let mut inside = 0;
         let mut part = [0u32; 64];
         for (i, &word) in words.iter().enumerate() {
@@ -211,17 +297,34 @@ impl Pvs {
         }
         objects.clear();
         let mut next = 0;
-        self.each_run(section, cell, |run| {
-            // Objects tile the triangles in order: skip those that end before the run, take those that the
-            // run touches.
-            next += self.objects[next..].partition_point(|o| o.first + o.count <= run.start);
-            while let Some(o) = self.objects.get(next).filter(|o| o.first < run.end) {
-                if o.count > 0 {
-                    objects.push(next as u32);
-                }
-                next += 1;
+        self.each_run(section, cell, |run| self.touched(run, &mut next, objects))
+    }
+
+    /// Appends the objects that a run touches. The runs of a set come in ascending order, and `next` is the
+    /// first object that no earlier run has touched.
+    fn touched(&self, run: Range<u32>, next: &mut usize, objects: &mut Vec<u32>) {
+        // Objects tile the triangles in order: skip the objects that end before the run.
+        *next += self.objects[*next..].partition_point(|o| o.first + o.count <= run.start);
+        while let Some(o) = self.objects.get(*next).filter(|o| o.first < run.end) {
+            if o.count > 0 {
+                objects.push(*next as u32);
             }
-        })
+            *next += 1;
+        }
+    }
+
+    /// Returns the boundaries of the runs of the triangles of a cell's set.
+    fn bounds(&self, section: Section, cell: u32) -> Result<Vec<u32>, PvsError> {
+        let mut bounds = Vec::new();
+        self.each_run(section, cell, |run| bounds.extend([run.start, run.end]))?;
+        Ok(bounds)
+    }
+
+    /// Returns the number of triangles of a cell's set.
+    fn count(&self, section: Section, cell: u32) -> Result<u32, PvsError> {
+        let mut count = 0;
+        self.each_run(section, cell, |run| count += run.end - run.start)?;
+        Ok(count)
     }
 
     /// The coded set of a node.
@@ -242,31 +345,41 @@ impl Pvs {
     /// exclusive or of their boundaries, so each set on the root path flips its own. An end after the last
     /// bit of the last word is left out: no bit beyond the last triangle is ever a member.
     fn boundaries(&self, section: Section, cell: u32, words: &mut [u64]) -> Result<(), PvsError> {
+        self.each_coded_run(section, cell, |start, end| {
+            let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
+            let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
+            if first == last {
+                // Most runs are short. One access is faster than two to the same word, which depend on
+                // each other.
+                if let Some(word) = words.get_mut(first) {
+                    *word ^= mark_start ^ mark_end;
+                }
+            } else {
+                if let Some(word) = words.get_mut(first) {
+                    *word ^= mark_start;
+                }
+                if let Some(word) = words.get_mut(last) {
+                    *word ^= mark_end;
+                }
+            }
+        })
+    }
+
+    /// Calls `each` with the start and the end of every run of the coded sets on a cell's path.
+    fn each_coded_run(
+        &self,
+        section: Section,
+        cell: u32,
+        mut each: impl FnMut(u32, u32),
+    ) -> Result<(), PvsError> {
         let leaf = self.leaf(cell)?;
         if self.part(section).is_empty() {
             return Ok(());
         }
         for node in self.tree.path(leaf) {
             let set = self.set(section, node)?;
-            codec::decode(set, self.item_count(), |start, end| {
-                let (first, last) = ((start >> 6) as usize, (end >> 6) as usize);
-                let (mark_start, mark_end) = (1u64 << (start & 63), 1u64 << (end & 63));
-                if first == last {
-                    // Most runs are short. One access is faster than two to the same word, which depend on
-                    // each other.
-                    if let Some(word) = words.get_mut(first) {
-                        *word ^= mark_start ^ mark_end;
-                    }
-                } else {
-                    if let Some(word) = words.get_mut(first) {
-                        *word ^= mark_start;
-                    }
-                    if let Some(word) = words.get_mut(last) {
-                        *word ^= mark_end;
-                    }
-                }
-            })
-            .map_err(|e| section.malformed(format!("the set of node {node}: {}", e.0)))?;
+            codec::decode(set, self.item_count(), &mut each)
+                .map_err(|e| section.malformed(format!("the set of node {node}: {}", e.0)))?;
             if codec::is_absolute(set) {
                 break;
             }
@@ -274,13 +387,46 @@ impl Pvs {
         Ok(())
     }
 
-    /// The marks of [`Self::boundaries`] in newly allocated words.
-    fn marked(&self, section: Section, cell: u32) -> Result<Vec<u64>, PvsError> {
+    /// Decodes the set of a cell into memory that is in proportion to its coded bytes, or small.
+    fn marks(&self, section: Section, cell: u32) -> Result<Marks, PvsError> {
+        let leaf = self.leaf(cell)?;
+        let bytes = if self.part(section).is_empty() { 0 } else { self.path_bytes(section, leaf)? };
+        if self.item_words() * 8 > MOST_FREE_BYTES.max(MOST_GROWTH * bytes) {
+            return self.sorted(section, cell).map(Marks::Bounds);
+        }
         let mut words = Vec::new();
         words.try_reserve_exact(self.item_words()).map_err(|_| self.no_memory())?;
         words.resize(self.item_words(), 0u64);
         self.boundaries(section, cell, &mut words)?;
-        Ok(words)
+        Ok(Marks::Words(words))
+    }
+
+    /// Returns the boundaries of the items of a cell's set. A boundary of two sets on the path is none of the
+    /// exclusive or.
+    fn sorted(&self, section: Section, cell: u32) -> Result<Vec<u32>, PvsError> {
+        let mut all: Vec<u32> = Vec::new();
+        let mut fits = true;
+        self.each_coded_run(section, cell, |start, end| {
+            fits = fits && all.try_reserve(2).is_ok();
+            if fits {
+                all.extend([start, end]);
+            }
+        })?;
+        if !fits {
+            return Err(self.no_memory());
+        }
+        all.sort_unstable();
+        let mut kept = 0;
+        for k in 0..all.len() {
+            if kept > 0 && all[kept - 1] == all[k] {
+                kept -= 1;
+            } else {
+                all[kept] = all[k];
+                kept += 1;
+            }
+        }
+        all.truncate(kept);
+        Ok(all)
     }
 
     /// Calls `each` with the maximal runs of the triangles of a cell's set, ascending.
@@ -307,7 +453,13 @@ impl Pvs {
         cell: u32,
         mut each: impl FnMut(Range<u32>),
     ) -> Result<(), PvsError> {
-        let words = self.marked(section, cell)?;
+        let words = match self.marks(section, cell)? {
+            Marks::Words(words) => words,
+            Marks::Bounds(bounds) => {
+                bounds.chunks_exact(2).for_each(|run| each(run[0]..run[1]));
+                return Ok(());
+            }
+        };
         let mut start = None;
         for (i, &word) in words.iter().enumerate() {
             let mut rest = word;
@@ -328,6 +480,14 @@ impl Pvs {
         }
         Ok(())
     }
+}
+
+/// The decoded boundaries of a cell's set.
+enum Marks {
+    /// A bit for each item at which a run starts or ends.
+    Words(Vec<u64>),
+    /// The ascending boundaries.
+    Bounds(Vec<u32>),
 }
 
 /// The members of a word of marked boundaries: each bit becomes the parity of the marks at or before it.
