@@ -16,12 +16,19 @@ impl Ambient {
         let receivers = m.receivers.as_slice().try_into();
         let receivers =
             receivers.map_err(|_| SpecError::Field("receivers", "give the 32 bytes of their digest"))?;
-        Ok(Self { receivers, bytes: m.bytes, points: m.points, lights: m.lights })
+        let (Some(bytes), Some(points), Some(lights)) = (m.bytes, m.points, m.lights) else {
+            return Err(SpecError::Field(
+                "receivers",
+                "their length and numbers are absent; the coordinator fills them in at Submit",
+            ));
+        };
+        Ok(Self { receivers, bytes, points, lights })
     }
 
-    /// The message.
+    /// Returns the message.
     pub(crate) fn to_proto(self) -> v1::Ambient {
         let Self { receivers, bytes, points, lights } = self;
+        let (bytes, points, lights) = (Some(bytes), Some(points), Some(lights));
         v1::Ambient { receivers: receivers.to_vec(), bytes, points, lights }
     }
 }
@@ -48,25 +55,9 @@ impl JobSpec {
     }
 }
 
-/// Fills in what a message leaves out beside the scene and the receivers. What else is given is refused when
-/// the message is read.
-pub(crate) fn fill(spec: &mut v1::JobSpec) {
-    let any = Ambient { receivers: [0; 32], bytes: 0, points: 1, lights: 0 };
-    let usual = JobSpec::of_receivers([0; 32], any).to_proto();
-    spec.division = spec.division.take().or(usual.division);
-    spec.sampling = spec.sampling.or(usual.sampling);
-    if spec.view_box.is_empty() {
-        spec.view_box = usual.view_box;
-    }
-    if spec.backend() == v1::Backend::Auto {
-        spec.backend = usual.backend;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::defaults::with_defaults;
     use crate::receivers::{TILE, tiles};
 
     fn ambient(points: u32) -> Ambient {
@@ -80,19 +71,19 @@ mod tests {
         assert_eq!(JobSpec::from_proto(&spec.to_proto(), None).as_ref(), Ok(&spec));
         let ambient_alone = Some(ambient(5).to_proto());
         let short = v1::JobSpec { scene: vec![7; 32], ambient: ambient_alone, ..Default::default() };
-        assert_eq!(JobSpec::from_proto(&with_defaults(&short, 100), None).as_ref(), Ok(&spec));
-        let refused = |message: v1::JobSpec| {
-            JobSpec::from_proto(&with_defaults(&message, 100), None).unwrap_err().to_string()
-        };
-        assert!(refused(v1::JobSpec { seed: 1, ..short.clone() }).contains("leave out all fields"));
-        assert!(refused(v1::JobSpec { method: 1, ..short.clone() }).contains("leave out all fields"));
-        assert!(refused(v1::JobSpec { block_cells: 64, ..short.clone() }).contains("leave out all fields"));
+        assert_eq!(JobSpec::from_proto(&short, None).as_ref(), Ok(&spec));
+        let refused = |message: v1::JobSpec| JobSpec::from_proto(&message, None).unwrap_err().to_string();
+        assert!(refused(v1::JobSpec { seed: Some(1), ..short.clone() }).contains("leave out all fields"));
+        assert!(refused(v1::JobSpec { method: Some(1), ..short.clone() }).contains("leave out all fields"));
+        let blocks = v1::JobSpec { block_cells: Some(64), ..short.clone() };
+        assert!(refused(blocks).contains("leave out all fields"));
         let of = |change: &dyn Fn(&mut v1::Ambient)| {
             let mut message = short.clone();
             message.ambient.iter_mut().for_each(change);
             refused(message)
         };
-        assert!(of(&|a| a.points = 0).contains("PutReceivers"));
+        assert!(of(&|a| a.points = Some(0)).contains("PutReceivers"));
+        assert!(of(&|a| a.lights = None).contains("absent"));
         assert!(of(&|a| a.receivers.truncate(3)).contains("32 bytes"));
         let others = [
             Ambient { receivers: [8; 32], ..ambient(5) },

@@ -185,6 +185,8 @@ choice! {
         Sets = "sets",
         /// Err′: the four cubes pixel by pixel (equation 2).
         Pixels = "pixels",
+        /// No comparison: every rectangle is split down to the minimum distance.
+        Uniform = "uniform",
     }
     wire ErrorMeasure, default Strata
 }

@@ -8,13 +8,17 @@ use sightline_proto::v1;
 
 use crate::choice::{CellToCell, Choice, ErrorMeasure, Granularity, Sampler, SupersetChoice, UnknownChoice};
 
+/// Smallest and largest bound on missed sight lines.
+const BOUNDS: (f64, f64) = (1e-5, 1.0);
+
 /// Least and greatest value of a parameter that has no range.
 const ANY: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
-/// A parameter's type: how a value is written to the wire, read from it and checked against a range.
+/// A parameter's type: how a value is written to the wire, read from it and checked against a range. An
+/// absent field stands for the parameter's default.
 trait Value: Sized {
     type Wire;
-    fn to_wire(&self) -> Self::Wire;
+    fn to_wire(&self) -> Option<Self::Wire>;
     fn from_wire(wire: Self::Wire) -> Result<Self, UnknownChoice>;
     /// The number that has to lie in the parameter's range.
     fn number(&self) -> Option<f64>;
@@ -25,8 +29,8 @@ macro_rules! plain {
     ($type:ty, $number:expr) => {
         impl Value for $type {
             type Wire = Self;
-            fn to_wire(&self) -> Self {
-                *self
+            fn to_wire(&self) -> Option<Self> {
+                Some(*self)
             }
             fn from_wire(wire: Self) -> Result<Self, UnknownChoice> {
                 Ok(wire)
@@ -39,16 +43,42 @@ macro_rules! plain {
     };
 }
 
-plain!(f64, Some);
-plain!(Option<f64>, |value| value);
 plain!(u64, |value| Some(value as f64));
 plain!(u32, |value| Some(f64::from(value)));
 plain!(bool, |_| None);
 
+impl Value for f64 {
+    type Wire = Self;
+    fn to_wire(&self) -> Option<Self> {
+        Some(*self)
+    }
+    fn from_wire(wire: Self) -> Result<Self, UnknownChoice> {
+        // −0 has other bits than 0. Without this, one value would have two keys.
+        Ok(if wire == 0.0 { 0.0 } else { wire })
+    }
+    fn number(&self) -> Option<f64> {
+        Some(*self)
+    }
+}
+
+/// A parameter that is off when it is absent.
+impl Value for Option<f64> {
+    type Wire = f64;
+    fn to_wire(&self) -> Self {
+        *self
+    }
+    fn from_wire(wire: f64) -> Result<Self, UnknownChoice> {
+        f64::from_wire(wire).map(Some)
+    }
+    fn number(&self) -> Option<f64> {
+        *self
+    }
+}
+
 impl<C: Choice> Value for C {
     type Wire = i32;
-    fn to_wire(&self) -> i32 {
-        Choice::to_wire(*self)
+    fn to_wire(&self) -> Option<i32> {
+        Some(Choice::to_wire(*self))
     }
     fn from_wire(wire: i32) -> Result<Self, UnknownChoice> {
         Choice::from_wire(wire)
@@ -79,17 +109,19 @@ macro_rules! parameters {
         }
 
         impl $params {
-            /// The parameters as a message.
+            /// Returns the parameters as a message with every field set, defaults included.
             pub fn to_proto(&self) -> v1::$wire {
                 v1::$wire { $($field: Value::to_wire(&self.$field)),+ }
             }
 
-            /// Reads the parameters of a message. [`Self::check`] checks their ranges.
+            /// Reads the parameters of a message; an absent field has its default. [`Self::check`] checks
+            /// the ranges.
             ///
             /// # Errors
             /// [`UnknownChoice`] for a value that this program does not know.
             pub fn from_proto(wire: &v1::$wire) -> Result<Self, UnknownChoice> {
-                Ok(Self { $($field: Value::from_wire(wire.$field)?),+ })
+                let usual = Self::default_for(wire);
+                Ok(Self { $($field: wire.$field.map_or(Ok(usual.$field), Value::from_wire)?),+ })
             }
 
             /// Checks every parameter's range.
@@ -121,7 +153,7 @@ parameters! {
         /// that takes several times the work of the average cell has a larger tolerance.
         target_error: f64 = 1e-4, (1e-6, 1.0);
         /// Lines: refine each cell until the 95 % bound on its missed sight lines is at most this fraction.
-        max_error: Option<f64> = None, (1e-5, 1.0);
+        max_error: Option<f64> = None, BOUNDS;
         /// Guided: rays of each cell.
         rays: u64 = 200_000, (1.0, 1e12);
         /// Side of one item buffer in pixels.
@@ -151,6 +183,16 @@ parameters! {
         cell_to_cell: CellToCell = CellToCell::Auto, ANY;
         /// Whether the share of the view that each visible item takes is measured.
         contributions: bool = false, ANY;
+    }
+}
+
+impl SamplingParams {
+    /// Returns the defaults of a message: a bound is the target, too, as on the command line.
+    fn default_for(wire: &v1::Sampling) -> Self {
+        let usual = Self::default();
+        // A bound outside its range must not be reported as a target.
+        let bound = wire.max_error.filter(|bound| (BOUNDS.0..=BOUNDS.1).contains(bound));
+        Self { target_error: bound.unwrap_or(usual.target_error), ..usual }
     }
 }
 
@@ -209,13 +251,26 @@ mod tests {
     }
 
     #[test]
+    fn absent_fields_have_defaults() {
+        let absent = |wire: v1::Sampling| SamplingParams::from_proto(&wire);
+        assert_eq!(absent(v1::Sampling::default()), Ok(SamplingParams::default()));
+        let bounded = v1::Sampling { max_error: Some(0.01), ..v1::Sampling::default() };
+        let expected =
+            SamplingParams { max_error: Some(0.01), target_error: 0.01, ..SamplingParams::default() };
+        assert_eq!(absent(bounded), Ok(expected));
+        // The key is made of the message, so that −0 must not differ from 0.
+        let negative = v1::Sampling { error_threshold: Some(-0.0), ..v1::Sampling::default() };
+        assert!(absent(negative).unwrap().error_threshold.is_sign_positive());
+    }
+
+    #[test]
     fn a_value_outside_its_range_is_refused_with_the_flag_and_the_range() {
         let wrong = SamplingParams { error_threshold: f64::NAN, ..SamplingParams::default() };
         let said = wrong.check().unwrap_err().to_string();
         assert!(said.starts_with("error-threshold is NaN, which is not between 0 and 1;"), "{said}");
         let wrong = SamplingParams { max_error: Some(0.0), ..SamplingParams::default() };
         assert_eq!(wrong.check().unwrap_err().name, "max_error");
-        let unknown = v1::Sampling { sampler: 9, ..SamplingParams::default().to_proto() };
+        let unknown = v1::Sampling { sampler: Some(9), ..SamplingParams::default().to_proto() };
         assert!(SamplingParams::from_proto(&unknown).unwrap_err().to_string().contains("sampler"));
     }
 }

@@ -16,7 +16,7 @@ use crate::params::{BOUND_AIM, ParamsError, SamplingParams};
 /// The version of everything that decides bytes. It changes whenever the same specification would give other
 /// bytes, of a result or of a tile's output, so that a stored result is never taken for one of another
 /// version. The choices that it stands for are in `crates/bake/src/choices.rs`.
-pub const ALGORITHM_VERSION: u32 = 26;
+pub const ALGORITHM_VERSION: u32 = 28;
 
 /// Longest time budget, in milliseconds: ten years.
 const MAX_BUDGET_MS: u64 = 10 * 366 * 24 * 3600 * 1000;
@@ -514,13 +514,14 @@ mod tests {
         let good = spec().to_proto();
         let refuse = |m: v1::JobSpec| JobSpec::from_proto(&m, None).unwrap_err().to_string();
         assert!(refuse(v1::JobSpec { scene: vec![1], ..good.clone() }).contains("scene"));
-        assert!(refuse(v1::JobSpec { division: None, ..good.clone() }).contains("division"));
+        let no_budget = Some(v1::job_spec::Division::Adaptive(v1::Adaptive::default()));
+        assert!(refuse(v1::JobSpec { division: no_budget, ..good.clone() }).contains("triangle-budget"));
         assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
-        assert!(refuse(v1::JobSpec { block_cells: 4097, ..good.clone() }).contains("block-cells"));
-        assert!(refuse(v1::JobSpec { sampling: None, ..good.clone() }).contains("sampling"));
-        assert!(refuse(v1::JobSpec { backend: 9, ..good.clone() }).contains("backend"));
-        assert!(refuse(v1::JobSpec { method: 9, ..good.clone() }).contains("method"));
-        assert!(refuse(v1::JobSpec { certificates: true, ..good.clone() }).contains("certificates"));
+        assert!(refuse(v1::JobSpec { block_cells: Some(4097), ..good.clone() }).contains("block-cells"));
+        assert!(refuse(v1::JobSpec { time_budget_ms: Some(0), ..good.clone() }).contains("time-budget"));
+        assert!(refuse(v1::JobSpec { backend: Some(9), ..good.clone() }).contains("backend"));
+        assert!(refuse(v1::JobSpec { method: Some(9), ..good.clone() }).contains("method"));
+        assert!(refuse(v1::JobSpec { certificates: Some(true), ..good.clone() }).contains("certificates"));
         let adaptive = JobSpec {
             division: Division::Adaptive { budget: 5, max_depth: 12 },
             block_cells: USUAL_BLOCK_CELLS,
@@ -535,7 +536,7 @@ mod tests {
         };
         assert!(with(Sampler::Guided, None).contains("sampler"));
         assert!(with(Sampler::Lines, Some(0.01)).contains("max-error"));
-        let nan = v1::Sampling { error_threshold: f64::NAN, ..good.sampling.unwrap() };
+        let nan = v1::Sampling { error_threshold: Some(f64::NAN), ..good.sampling.unwrap() };
         assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));
     }
 }

@@ -4,6 +4,8 @@
 //! every count is checked against the remaining bytes before anything is allocated for it.
 
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 mod read;
 #[cfg(test)]
 mod tests;
@@ -68,9 +70,9 @@ fn read(
     }
     unpacked.take(most).read_to_end(&mut raw).map_err(bad)?;
     if raw.len() as u64 > most {
-        return Err(CodecError("it unpacks to more than its tile can have"));
+        return Err(CodecError(error::TOO_LARGE));
     }
-    let mut r = Reader { bytes: &raw, triangles };
+    let mut r = Reader { bytes: &raw, triangles, room: most };
     let output = match r.byte()? {
         b'P' => TileOutput::Pack(r.pack(keep)?),
         b'C' => TileOutput::Cells(r.cells()?),

@@ -13,6 +13,8 @@ use crate::statistics::CellStats;
 pub(super) struct Reader<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) triangles: u32,
+    /// The bytes that pixels may still have in memory: a run of pixels has few bytes in a file.
+    pub(super) room: u64,
 }
 
 impl Reader<'_> {
@@ -109,6 +111,10 @@ impl Reader<'_> {
         // The largest cube that parameters allow.
         if n > 6 * 4096 * 4096 {
             return Err(CodecError("a cube has too many pixels"));
+        }
+        if keep {
+            let left = self.room.checked_sub(4 * n as u64);
+            self.room = left.ok_or(CodecError("its pixels unpack to more than its tile can have"))?;
         }
         let (mut pixels, mut read) = (Vec::new(), 0);
         while read < n {

@@ -102,6 +102,65 @@ proptest! {
     }
 }
 
+/// Mutations of valid outputs. `SIGHTLINE_FUZZ_SEED` selects others.
+#[test]
+fn fuzzed_outputs_do_not_crash() {
+    use proptest::strategy::ValueTree as _;
+    use proptest::test_runner::TestRunner;
+    use sightline_numbers::random::SplitMix64;
+
+    let mut runner = TestRunner::deterministic();
+    let seeds: Vec<Vec<u8>> = (0..60)
+        .map(|_| encode(&outputs().new_tree(&mut runner).unwrap().current()).unwrap())
+        .map(|bytes| zstd::stream::decode_all(bytes.as_slice()).unwrap())
+        .collect();
+    assert!(seeds.iter().all(|seed| fuzzing::tile(seed)));
+    let first = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(1, |text| text.parse().unwrap());
+    let mut random = SplitMix64::new(first);
+    let mut below = |n: usize| (random.bits() % n.max(1) as u64) as usize;
+    let (rounds, mut decoded) = (6000, 0);
+    for round in 0..rounds {
+        let mut bytes = seeds[below(seeds.len())].clone();
+        for _ in 0..1 + below(3) {
+            let at = below(bytes.len());
+            match below(5) {
+                0 if !bytes.is_empty() => bytes[at] ^= 1 << below(8),
+                1 if !bytes.is_empty() => bytes[at] = [0, 1, 2, 3, 0x7f, 0x80, 0xff][below(7)],
+                // A large number.
+                2 => drop(bytes.splice(at..at, [0xff, 0xff, 0xff, [0x0f, 0xff][below(2)], 0x01])),
+                3 => {
+                    let other = &seeds[below(seeds.len())];
+                    bytes.splice(at..at, other.iter().copied().take(below(40)));
+                }
+                _ => drop(bytes.drain(at..(at + below(6)).min(bytes.len()))),
+            }
+        }
+        let ran = std::panic::catch_unwind(|| fuzzing::tile(&bytes));
+        decoded += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
+    }
+    // Mutations that are all rejected, or all decoded, would reach little of the code.
+    assert!((rounds / 50..rounds - rounds / 50).contains(&decoded), "{decoded} of {rounds} were decoded");
+}
+
+/// A few bytes can announce 400 MB of equal pixels for each sample.
+#[test]
+fn pixels_unpack_to_no_more_than_limit() {
+    let most = 1u32 << 20;
+    let sample = |k: u32| {
+        let sample =
+            VisibilitySample { pixels: Some(vec![7; 3 << 17].into()), ..VisibilitySample::default() };
+        ([k, 0, 0], Arc::new(sample))
+    };
+    let pack = |n: u32| encode(&TileOutput::Pack(Pack { samples: (0..n).map(sample).collect() })).unwrap();
+    let read = |bytes: &[u8], keep: bool| super::read(bytes, 1000, (b"P", most.into()), &|_| keep);
+    assert!(pack(3).len() < 100, "the pixels are one run each");
+    // 1.5 MB of pixels a sample.
+    assert_eq!(read(&pack(0), true).map(|_| ()), Ok(()));
+    assert_eq!(read(&pack(1), true), Err(CodecError("its pixels unpack to more than its tile can have")));
+    assert!(read(&pack(3), false).is_ok(), "pixels that are not kept cost no memory");
+    assert!(decode(&pack(3), 1000).is_ok());
+}
+
 #[test]
 fn many_cells_are_coded_as_a_few_are() {
     let cell = |k: u32| CellSet {
