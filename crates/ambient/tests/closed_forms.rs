@@ -396,6 +396,27 @@ fn large_planes_close_by_are_right_to_their_bounds() {
     }
 }
 
+/// Receivers of vertices can lie a rounding away from the edge of a wall on their surface. The plane through
+/// point and edge is known to some 10⁻¹⁵ L/d only.
+#[test]
+fn bound_beside_edge_grows_as_distance_shrinks() {
+    let (wide, high) = (4.0f64, 8.0f64);
+    let wall = rectangle([0.0, -wide, 0.0], [0.0, wide, high]);
+    let mut last = 0.0;
+    for power in 3..=12 {
+        let d = 10f64.powi(-power);
+        let receiver = Receiver { point: DVec3::new(-d, 0.0, 0.0), ..up() };
+        let answer = answer(&wall, Settings::new(f64::INFINITY), receiver);
+        let slope = d.hypot(high);
+        let hidden = ((wide / d).atan() - d / slope * (wide / slope).atan()) / PI;
+        assert_bounded(&answer, 1.0 - hidden);
+        let bound = answer.openness.bound;
+        assert!(bound <= 1e-14 * high / d, "{bound:e} at {d:e}");
+        assert!(bound > last, "{bound:e} at {d:e} after {last:e}");
+        last = bound;
+    }
+}
+
 #[test]
 fn triangles_that_points_lie_on_hide_nothing_from_them() {
     // Single precision has no tenth, so that the points are below the quad.

@@ -46,6 +46,12 @@ const NUMBERS: &[&str] = &[
 struct Random(u64);
 
 impl Random {
+    /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
+    fn new(seed: u64) -> Self {
+        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
+    }
+
     fn below(&mut self, n: usize) -> usize {
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
@@ -104,7 +110,7 @@ fn mutated_points_and_lights_have_answers_or_are_refused() {
     for (target, seed) in [(points as fn(&[u8]) -> bool, POINTS), (lights, LIGHTS)] {
         for (s, line) in seed.lines().chain([seed]).enumerate() {
             assert!(target(line.as_bytes()), "{line} must be valid");
-            let mut r = Random(0x9e37_79b9_7f4a_7c15 + s as u64);
+            let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
             let taken = (0..ROUNDS).filter(|_| target(&mutate(&mut r, line))).count();
             // Mutations that are all refused, or all taken, would reach little of the code.
             assert!((ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&taken), "{line}: {taken} of {ROUNDS}");

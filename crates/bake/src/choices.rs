@@ -10,7 +10,7 @@ use sightline_exact::Limits;
 use sightline_model::{ALGORITHM_VERSION, Method};
 use sightline_viewcells::CellBox;
 
-const _: () = assert!(ALGORITHM_VERSION == 26, "the choices in this file belong to another version");
+const _: () = assert!(ALGORITHM_VERSION == 28, "the choices in this file belong to another version");
 
 /// Cells of a cell group. The queries about a group's box cost more than they save with fewer cells; with
 /// more cells fewer triangles are hidden from the box.

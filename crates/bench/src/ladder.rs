@@ -110,7 +110,7 @@ impl Sampler {
         let (fixed, more, flag, values): (&[&str], &[&str], &str, &[&str]) = match self {
             Self::Lines => (&["--sampler", "lines"], &[], "--target-error", &TARGET_ERRORS),
             Self::Guided => (&["--sampler", "guided"], &[], "--rays", &RAYS),
-            Self::CubesUniform => (&cubes, &["--error-threshold", "0"], "--min-distance", &DISTANCES),
+            Self::CubesUniform => (&cubes, &["--error-measure", "uniform"], "--min-distance", &DISTANCES),
             Self::CubesErr => (&cubes, &["--error-measure", "sets"], "--min-distance", &DISTANCES),
             Self::CubesErr1 => (&cubes, &["--error-measure", "pixels"], "--min-distance", &DISTANCES),
             Self::CubesErr2 => (&cubes, &["--error-measure", "strata"], "--min-distance", &DISTANCES),

@@ -69,8 +69,9 @@ pub struct Report {
 pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     args.check()?;
     std::fs::create_dir_all(&args.out).map_err(|e| BenchError::writing(&args.out, &e))?;
+    writable(&args.out.join("curves.csv"), "--out a folder where you may write")?;
     if let Some(page) = &args.results {
-        writable(page)?;
+        writable(page, "--results a file in a folder where you may write")?;
     }
     let inputs = input::inputs(&args.scenes)?;
     let machine = Machine::here();
@@ -136,20 +137,14 @@ fn load(scenes: &[SceneCurves], grown: &[Grown]) -> Load {
     sum
 }
 
-/// Refuses a page that cannot be written before bakes are spent on it.
-fn writable(page: &Path) -> Result<(), BenchError> {
-    let folder = page.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if page.is_dir() || !folder.is_dir() {
-        return Err(BenchError::Usage(format!(
-            "{} cannot be written; give --results a file in a folder that exists",
-            page.display()
-        )));
-    }
-    Ok(())
+/// Checks that a file can be written, before bakes are spent on it.
+fn writable(path: &Path, remedy: &str) -> Result<(), BenchError> {
+    sightline_files::check(path)
+        .map_err(|e| BenchError::Usage(format!("{} cannot be written: {e}; give {remedy}", path.display())))
 }
 
 fn write(host: &Host<'_>, path: &Path, text: &str) -> Result<(), BenchError> {
-    std::fs::write(path, text).map_err(|e| BenchError::writing(path, &e))?;
+    sightline_files::write(path, text).map_err(|e| BenchError::writing(path, &e))?;
     (host.say)(&format!("wrote {}", path.display()));
     Ok(())
 }

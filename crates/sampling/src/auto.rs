@@ -78,7 +78,7 @@ pub fn time_rounds(
         let tools = Tools {
             scene: facts.scene,
             surface: facts.surface,
-            rows: scene.rows(Granularity::Triangles),
+            rows: scene.fine_rows(Granularity::Triangles),
             sight: &sight,
             seed: 0,
             watcher: &Unwatched,

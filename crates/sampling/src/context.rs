@@ -11,6 +11,7 @@ use crate::backend::Backend;
 use crate::crew::Crew;
 pub use crate::error::TileError;
 use crate::prepared::PreparedScene;
+use crate::rows::Rows;
 
 /// The inputs that all tiles of a job share.
 pub struct JobContext<'a> {
@@ -42,6 +43,17 @@ impl JobContext<'_> {
     /// Whether sampling has to stop.
     pub fn is_late(&self) -> bool {
         self.deadline.is_some_and(|d| Instant::now() >= d)
+    }
+
+    /// Returns the rows of the table: items in a job with a least share, otherwise triangles.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool (see [`PreparedScene`]).
+    pub fn rows(&self) -> &Rows {
+        match self.params.min_share {
+            Some(_) => self.scene.item_rows(self.params.granularity),
+            None => self.scene.fine_rows(self.params.granularity),
+        }
     }
 }
 

@@ -29,7 +29,7 @@ impl CubeSpec {
         Self {
             resolution: params.resolution,
             strata: match params.measure {
-                ErrorMeasure::Sets => Strata::One,
+                ErrorMeasure::Sets | ErrorMeasure::Uniform => Strata::One,
                 ErrorMeasure::Pixels | ErrorMeasure::Strata => Strata::Quadrants,
             },
             keep_pixels: params.measure == ErrorMeasure::Pixels,
@@ -121,7 +121,7 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
 }
 
 /// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest
-/// extent.
+/// extent, at most 2⁻²⁴. Tracers of lines measure it in lengths of the direction.
 ///
 /// A sample in the plane of an axis-aligned wall, as on a face where a view cell meets a wall, has that wall
 /// at distance zero exactly and sees along both its sides. `f32` coordinates of the scene cannot place a
@@ -129,7 +129,9 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
 pub fn near_distance(bounds: sightline_scene::Aabb) -> f32 {
     let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
     // The extent is 0 only if all triangles are degenerate, and then none is visible.
-    ((extent * 2f64.powi(-40)) as f32).max(1e-30)
+    // A direction can be as long as the scene. Without a limit, a line of a scene of 10⁸ units would ignore
+    // the blockers in 10⁻⁴ of its length; 2⁻²⁴ of a length is below the rounding of its ends.
+    ((extent * 2f64.powi(-40)) as f32).clamp(1e-30, 2f32.powi(-24))
 }
 
 #[cfg(test)]

@@ -27,8 +27,10 @@ pub struct PreparedScene {
     masked: OnceLock<(Vec<u32>, Vec<Vec<u32>>)>,
     shown: OnceLock<Vec<u32>>,
     surface: OnceLock<Surface>,
-    /// By granularity.
-    rows: [OnceLock<Rows>; 3],
+    /// With a row for each triangle, by granularity.
+    fine_rows: [OnceLock<Rows>; 3],
+    /// With a row for each item, by granularity.
+    item_rows: [OnceLock<Rows>; 3],
 }
 
 /// The triangles among which sight lines are traced.
@@ -96,7 +98,8 @@ impl PreparedScene {
             masked: OnceLock::new(),
             shown: OnceLock::new(),
             surface: OnceLock::new(),
-            rows: Default::default(),
+            fine_rows: Default::default(),
+            item_rows: Default::default(),
         })
     }
 
@@ -117,18 +120,24 @@ impl PreparedScene {
         LineScene { scene: &self.scene, distinct, see_through, shown, duplicates, surface }
     }
 
-    /// The rows of the table of what cells see.
+    /// Returns the rows of a table with a row for each triangle.
     ///
     /// # Panics
     /// On a thread of rayon's pool (see the module's documentation).
-    pub fn rows(&self, granularity: Granularity) -> &Rows {
+    pub fn fine_rows(&self, granularity: Granularity) -> &Rows {
         outside_the_pool();
-        let place = &self.rows[match granularity {
-            Granularity::Triangles => 0,
-            Granularity::Clusters => 1,
-            Granularity::Objects => 2,
-        }];
-        place.get_or_init(|| Rows::new(&self.scene, granularity, self.duplicates()))
+        let place = &self.fine_rows[place_of(granularity)];
+        place.get_or_init(|| Rows::fine(&self.scene, granularity))
+    }
+
+    /// Returns the rows of a table with a row for each item.
+    ///
+    /// # Panics
+    /// On a thread of rayon's pool (see the module's documentation).
+    pub fn item_rows(&self, granularity: Granularity) -> &Rows {
+        outside_the_pool();
+        let place = &self.item_rows[place_of(granularity)];
+        place.get_or_init(|| Rows::of_items(&self.scene, granularity, self.duplicates()))
     }
 
     /// The facts that visibility cubes need.
@@ -258,6 +267,15 @@ fn front(scene: &Scene, triangle: u32) -> Option<bool> {
     // Vertices that are sorted by position run one way around, up to the choice of the first.
     let sorted = [a < b, b < c, c < a].into_iter().filter(|ascends| *ascends).count() == 2;
     (side != Side::Both).then_some(sorted == (side == Side::CounterClockwise))
+}
+
+/// Returns the place of a granularity among the rows.
+fn place_of(granularity: Granularity) -> usize {
+    match granularity {
+        Granularity::Triangles => 0,
+        Granularity::Clusters => 1,
+        Granularity::Objects => 2,
+    }
 }
 
 /// Refuses threads of rayon's pool.

@@ -1,8 +1,11 @@
-//! The rows of the table of what cells see: one a triangle, or one an item when the job's granularity is
-//! clusters or objects.
+//! The rows of a block's table: one per triangle, or one per item when a job with a least share has clusters
+//! or objects.
 //!
-//! Lines meet one triangle of each class of duplicates. Where such a class belongs to several items, it has a
-//! row of its own, which is added to the rows of its items in the end.
+//! With a row for each triangle, the search knows through which triangles the neighbours of a cell see an
+//! item, so it finds small items about as often as a bake of triangles does. With a row for each item the
+//! table is small, and an item is found by its largest part. Lines meet one triangle of each class of
+//! duplicates. Where such a class belongs to several items, it has a separate row, which is added to the rows
+//! of its items in the end.
 
 use sightline_model::Granularity;
 use sightline_scene::Scene;
@@ -19,37 +22,33 @@ pub struct Rows {
     count: u32,
     /// For each row after the items, the items that share its triangles.
     shared: Vec<Vec<u32>>,
+    /// Where rows are triangles and items are not, the triangles of each item; otherwise empty.
+    members: Vec<Vec<u32>>,
 }
 
 /// The item of triangles that can never be visible.
 const NONE: u32 = 0;
 
 impl Rows {
-    /// A row for each triangle.
+    /// Makes a row for each triangle of a scene, where items are triangles.
     pub fn triangles(scene: &Scene) -> Self {
         Self { count: scene.len(), ..Self::default() }
     }
 
-    /// The rows of a scene at a granularity. `duplicates` are the classes of triangles with the same three
+    /// Makes a row for each triangle of a scene, where items are of this granularity.
+    pub fn fine(scene: &Scene, granularity: Granularity) -> Self {
+        let Some((items, count)) = items(scene, granularity) else { return Self::triangles(scene) };
+        let mut members = vec![Vec::new(); count as usize];
+        for (triangle, item) in (0..).zip(&items) {
+            members[*item as usize].push(triangle);
+        }
+        Self { items, count, members, ..Self::default() }
+    }
+
+    /// Makes a row for each item of a scene. `duplicates` are the classes of triangles with the same three
     /// vertices.
-    pub fn new(scene: &Scene, granularity: Granularity, duplicates: &[Vec<u32>]) -> Self {
-        let mut items = vec![NONE; scene.triangles().len()];
-        let count = match granularity {
-            Granularity::Triangles => return Self::triangles(scene),
-            Granularity::Objects => {
-                for (number, o) in scene.objects().iter().enumerate() {
-                    items[o.first as usize..(o.first + o.count) as usize].fill(number as u32);
-                }
-                scene.objects().len()
-            }
-            Granularity::Clusters => {
-                let all = clusters(scene);
-                for (number, cluster) in all.iter().enumerate() {
-                    cluster.iter().for_each(|t| items[*t as usize] = number as u32);
-                }
-                all.len()
-            }
-        } as u32;
+    pub fn of_items(scene: &Scene, granularity: Granularity, duplicates: &[Vec<u32>]) -> Self {
+        let Some((items, count)) = items(scene, granularity) else { return Self::triangles(scene) };
         let mut of = items.clone();
         let mut shared = Vec::new();
         for class in duplicates {
@@ -61,36 +60,72 @@ impl Rows {
                 shared.push(with);
             }
         }
-        Self { of, items, count, shared }
+        Self { of, items, count, shared, ..Self::default() }
     }
 
-    /// The row of each triangle; empty when a triangle's row is its id.
+    /// Returns the row of each triangle; empty when a triangle's row is its id.
     pub fn of_triangles(&self) -> &[u32] {
         &self.of
     }
 
-    /// The item of a triangle that can be visible.
+    /// Returns the item of a triangle that can be visible.
     pub fn item(&self, triangle: u32) -> u32 {
         if self.items.is_empty() { triangle } else { self.items[triangle as usize] }
     }
 
-    /// Number of rows.
+    /// Returns the number of rows.
     pub fn count(&self) -> usize {
-        self.count as usize + self.shared.len()
+        match (&self.of[..], &self.items[..]) {
+            ([], []) => self.count as usize,
+            ([], items) => items.len(),
+            _ => self.count as usize + self.shared.len(),
+        }
     }
 
-    /// Number of items.
+    /// Returns the number of items.
     pub fn items(&self) -> u32 {
         self.count
     }
 
-    /// For each row after the items, the items that share its triangles.
+    /// Returns, for each row after the items, the items that share its triangles.
     pub fn shared(&self) -> &[Vec<u32>] {
         &self.shared
     }
 
-    /// Whether items are triangles.
+    /// Returns the triangles of each item where rows are triangles and items are not; otherwise nothing.
+    pub fn members(&self) -> &[Vec<u32>] {
+        &self.members
+    }
+
+    /// Returns true if items are triangles.
     pub fn are_triangles(&self) -> bool {
         self.items.is_empty()
     }
+
+    /// Returns true if rows are triangles and items are not.
+    pub fn are_finer(&self) -> bool {
+        self.of.is_empty() && !self.items.is_empty()
+    }
+}
+
+/// Returns the item of each triangle and the number of items; `None` where items are triangles.
+fn items(scene: &Scene, granularity: Granularity) -> Option<(Vec<u32>, u32)> {
+    let mut items = vec![NONE; scene.triangles().len()];
+    let count = match granularity {
+        Granularity::Triangles => return None,
+        Granularity::Objects => {
+            for (number, o) in scene.objects().iter().enumerate() {
+                items[o.first as usize..(o.first + o.count) as usize].fill(number as u32);
+            }
+            scene.objects().len()
+        }
+        Granularity::Clusters => {
+            let all = clusters(scene);
+            for (number, cluster) in all.iter().enumerate() {
+                cluster.iter().for_each(|t| items[*t as usize] = number as u32);
+            }
+            all.len()
+        }
+    };
+    Some((items, count as u32))
 }

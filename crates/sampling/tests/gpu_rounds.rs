@@ -172,7 +172,7 @@ fn objects_are_seen_where_one_of_their_triangles_is() {
     }
     let scene = Arc::new(Scene::new("test", triangles, objects).unwrap());
     let Some(backend) = backend(&scene) else { return };
-    let rows = Rows::new(&scene, Granularity::Objects, &[]);
+    let rows = Rows::of_items(&scene, Granularity::Objects, &[]);
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
     with_rows(&scene, &backend, view, (&Alone, &rows, u64::MAX), |block| {
         block.sample(1e-3, &[], Tolerance::Equal).unwrap();

@@ -116,6 +116,14 @@ mod tests {
         }
     }
 
+    /// All of space is inside a closed solid.
+    struct Solid;
+    impl Exterior for Solid {
+        fn is_exterior(&self, _: LatticePoint, _: &VisibilitySample) -> bool {
+            false
+        }
+    }
+
     #[test]
     fn samples_gather_where_visibility_changes() {
         let division = Division::Grid([1, 1, 1]);
@@ -140,6 +148,26 @@ mod tests {
         let rect = division.root(&lattice).face(0);
         refine(rect, &lattice, 1e-3, &SamplingParams::default(), &Open, &mut source).unwrap();
         assert_eq!(source.1.len(), 4);
+    }
+
+    #[test]
+    fn uniform_measure_splits_every_rectangle() {
+        let division = Division::Grid([1, 1, 1]);
+        let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
+        let rect = division.root(&lattice).face(0);
+        // All corners are alike, and thresholds of 1 are never exceeded.
+        let params = SamplingParams {
+            measure: sightline_model::ErrorMeasure::Uniform,
+            error_threshold: 1.0,
+            interior_threshold: 1.0,
+            ..SamplingParams::default()
+        };
+        for exterior in [&Open as &dyn Exterior, &Solid] {
+            let mut source = Edge(0, Vec::new());
+            refine(rect, &lattice, 1.0 / 8.0, &params, exterior, &mut source).unwrap();
+            let points: BTreeSet<LatticePoint> = source.1.into_iter().collect();
+            assert_eq!(points.len(), 9 * 9);
+        }
     }
 
     #[test]

@@ -104,7 +104,7 @@ pub fn run(
             let mut sets = CellSets::default();
             work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
             if job.params.granularity != Granularity::Triangles {
-                let rows = job.scene.rows(job.params.granularity);
+                let rows = job.rows();
                 for cell in &mut sets.cells {
                     cell.visible.iter_mut().for_each(|t| *t = rows.item(*t));
                     cell.visible.sort_unstable();

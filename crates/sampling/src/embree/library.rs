@@ -302,10 +302,13 @@ impl Device {
         if handle.is_null() {
             // SAFETY: a null device is allowed; the call then returns the error of device creation.
             let code = unsafe { (embree.get_device_error)(std::ptr::null_mut()) };
-            return Err(BackendError::Unavailable(format!(
-                "Embree could not start (error {code}; 5 means that the processor is not supported); use \
-                    --backend gpu"
-            )));
+            return Err(BackendError::Unavailable(match code {
+                4 => "Embree could not start: not enough memory".to_owned(),
+                _ => format!(
+                    "Embree could not start (error {code}; 5 means that the processor is not supported); use \
+                     --backend gpu"
+                ),
+            }));
         }
         Ok(Self { embree, handle })
     }

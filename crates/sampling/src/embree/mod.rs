@@ -29,6 +29,27 @@ use crate::packet::{LANES, LineTracer, Packet, PassingTracer};
 use crate::reduce::Reducer;
 use sightline_model::VisibilitySample;
 
+/// Smallest width of a scene. Products of three lengths of a smaller scene lose digits in single precision,
+/// and then rays pass through its triangles.
+const MIN_WIDTH: f32 = 1e-9;
+
+/// A scene that is too narrow for Embree.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "the scene is only {0:e} wide, and --backend cpu misses triangles of scenes below {MIN_WIDTH:e}; scale \
+     the scene up, or use --backend gpu"
+)]
+pub struct TooNarrow(f32);
+
+/// Checks the width of a scene. A scene whose triangles are all in one point shows nothing, and passes.
+///
+/// # Errors
+/// [`TooNarrow`] below 10⁻⁹.
+pub fn check_width(scene: &Scene) -> Result<(), TooNarrow> {
+    let width = (scene.bounds().max - scene.bounds().min).max_element();
+    if width > 0.0 && width < MIN_WIDTH { Err(TooNarrow(width)) } else { Ok(()) }
+}
+
 /// Embree bound to a scene.
 pub struct CpuBackend {
     scene: Arc<Scene>,
@@ -55,12 +76,19 @@ impl CpuBackend {
     /// Opens Embree for `scene`.
     ///
     /// # Errors
-    /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here.
+    /// [`BackendError::Unavailable`] when Embree is not installed or cannot run here,
+    /// [`BackendError::Failed`] for a scene that is too large or too small for single precision.
     pub fn new(scene: Arc<Scene>, spec: CubeSpec) -> Result<Self, BackendError> {
         // The number of threads that build the hierarchy does not change the bytes
         // (test `however_many_threads_build_it_the_hierarchy_is_the_same`).
         let device = Self::open(rayon::current_num_threads())?;
         let profile = profile(&device);
+        if let Err(e) = scene.check_reach("the scene") {
+            return Err(BackendError::Failed { profile, reason: e.to_string() });
+        }
+        if let Err(e) = check_width(&scene) {
+            return Err(BackendError::Failed { profile, reason: e.to_string() });
+        }
         Ok(Self {
             scene,
             spec,

@@ -145,6 +145,23 @@ impl SeenBits {
         self.before.truncate(items as usize * self.words);
     }
 
+    /// Adds to the row of each item the rows of its triangles, as of the last barrier.
+    pub fn gather(&self, members: &[Vec<u32>], items: &mut [u64]) {
+        let rows = items.par_chunks_mut(self.words).zip(members).with_min_len(64);
+        rows.for_each(|(item, triangles)| {
+            for triangle in triangles {
+                item.iter_mut().zip(self.row(*triangle)).for_each(|(all, bits)| *all |= bits);
+            }
+        });
+    }
+
+    /// Replaces the rows of triangles by a row for each item.
+    pub fn to_items(&mut self, members: &[Vec<u32>]) {
+        let mut items = vec![0; members.len() * self.words];
+        self.gather(members, &mut items);
+        self.before = items;
+    }
+
     /// The triangles seen from each cell of a word, ascending.
     pub fn columns(&self, word: u32) -> Vec<Vec<u32>> {
         let mut columns = vec![Vec::new(); 64];

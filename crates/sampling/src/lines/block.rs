@@ -13,6 +13,7 @@ use sightline_scene::Scene;
 use super::bits::SeenBits;
 use super::device::OnDevice;
 use super::grid::{CellGrid, Crossed, Slot};
+use super::items::SeenItems;
 use super::ledger::Ledger;
 use super::pace::{FLOOD_STEPS, Pace};
 use super::pairs::Pairs;
@@ -140,6 +141,8 @@ impl Cell {
 pub(super) struct Scratch {
     /// For each row of the table the last tag under which one of its triangles was met.
     pub(super) met: Vec<u32>,
+    /// For each item the last tag under which one of its triangles was met; empty unless rows are finer.
+    pub(super) met_items: Vec<u32>,
     pub(super) tag: u32,
     pub(super) packets: Vec<Packet>,
     pub(super) behind: Vec<Packet>,
@@ -158,6 +161,7 @@ impl Scratch {
         self.tag = self.tag.wrapping_add(1);
         if self.tag == 0 {
             self.met.fill(0);
+            self.met_items.fill(0);
             self.tag = 1;
         }
     }
@@ -168,6 +172,8 @@ pub struct Block<'a> {
     pub(super) tools: Tools<'a>,
     pub(super) grid: CellGrid,
     pub(super) bits: SeenBits,
+    /// The items seen from each, where rows are finer than items.
+    pub(super) items: SeenItems,
     pub(super) cells: Vec<Cell>,
     /// One for each of `cells`.
     pub(super) stats: Vec<CellStats>,
@@ -240,6 +246,7 @@ impl<'a> Block<'a> {
             tools,
             grid,
             bits,
+            items: SeenItems::default(),
             cells,
             stats,
             reached,
@@ -305,17 +312,31 @@ impl<'a> Block<'a> {
         if self.rows.is_empty() { triangle } else { self.rows[triangle as usize] }
     }
 
-    /// Whether a triangle's item was seen from a cell at the last barrier.
+    /// Publishes all credits since the last barrier.
+    pub(super) fn publish(&mut self) {
+        self.bits.publish();
+        self.items.gather(self.tools.rows, &self.bits);
+    }
+
+    /// Returns true if a triangle's item was seen from a cell at the last barrier.
+    pub(super) fn shown(&self, triangle: u32, slot: Slot) -> bool {
+        match self.tools.rows.are_finer() {
+            true => self.items.seen(self.tools.rows.item(triangle), slot),
+            false => self.seen(triangle, slot),
+        }
+    }
+
+    /// Returns true if a triangle's row was credited to a cell at the last barrier.
     pub(super) fn seen(&self, triangle: u32, slot: Slot) -> bool {
         self.bits.seen(self.row(triangle), slot)
     }
 
-    /// Credits cells with a triangle's item; those without viewpoints must have been taken out.
+    /// Credits cells with a triangle's row; those without viewpoints must have been taken out.
     pub(super) fn credit(&self, triangle: u32, crossed: &[(u32, u64)]) {
         self.bits.credit(self.row(triangle), crossed);
     }
 
-    /// Credits a cell, if it has viewpoints, with a triangle's item.
+    /// Credits a cell, if it has viewpoints, with a triangle's row.
     pub(super) fn credit_one(&self, triangle: u32, slot: Slot) {
         if self.reached.is_empty() || self.reached[slot.word as usize] >> slot.bit & 1 == 1 {
             self.credit(triangle, &[(slot.word, 1 << slot.bit)]);
@@ -466,6 +487,7 @@ impl<'a> Block<'a> {
         let taken = self.scratch.lock().unwrap_or_else(PoisonError::into_inner).pop();
         let mut scratch = taken.unwrap_or_else(|| Scratch {
             met: vec![0; self.tools.rows.count()],
+            met_items: vec![0; self.tools.rows.members().len()],
             tag: 0,
             packets: Vec::new(),
             behind: Vec::new(),

@@ -179,7 +179,7 @@ impl Block<'_> {
         } else {
             self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
         }
-        self.bits.publish();
+        self.publish();
         Ok(())
     }
 
@@ -197,7 +197,7 @@ impl Block<'_> {
             }
             let end = (packet.triangle[lane], packet.distance[lane]);
             let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
-            let mut new = shown.filter(|(t, _)| *t != SKY && !block.seen(*t, c.slot)).peekable();
+            let mut new = shown.filter(|(t, _)| *t != SKY && !block.shown(*t, c.slot)).peekable();
             if new.peek().is_some() {
                 misses += 1;
                 let (origin, direction) = packet.ray(lane);

@@ -1,9 +1,10 @@
 //! Candidates of a cell: triangles that a neighbouring cell sees and this cell does not, adjacent to a
-//! triangle that this cell sees, and large enough as seen from it.
+//! triangle that this cell sees, and large enough as seen from it. Where items are clusters or objects,
+//! candidates are triangles of an item that this cell does not see, adjacent to a seen one or not.
 //!
 //! Sixteen nearby candidates share an origin close to the face through which the neighbours see them: a point
-//! of that face belongs to both cells. Each line is traced in both directions. What is beside a triangle that
-//! such a line finds is aimed at from the same origin ([`super::flood`]).
+//! of that face belongs to both cells. Each line is traced in both directions. The sampler then aims
+//! from the same origin at the neighbours of the triangles that such lines find ([`super::flood`]).
 
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -83,6 +84,7 @@ impl Block<'_> {
             wanted[slot.word as usize] |= 1 << slot.bit;
             place[slot.index()] = i as u32;
         }
+        let is_finer = self.tools.rows.are_finer();
         let stripes: Vec<Vec<(u32, Candidate)>> = self
             .tools
             .surface
@@ -96,17 +98,24 @@ impl Block<'_> {
                     if row.iter().all(|w| *w == 0) {
                         continue;
                     }
-                    // The cells that see a neighbour of the triangle and not the triangle: none, for most.
-                    near.fill(0);
-                    for beside in self.tools.surface.neighbours[triangle as usize] {
-                        if beside != SKY {
-                            near.iter_mut()
-                                .zip(self.bits.row(self.row(beside)))
-                                .for_each(|(n, seen)| *n |= seen);
+                    let seen = if is_finer {
+                        // The cells that lack the item. Below, a neighbour must see the triangle.
+                        near.fill(u64::MAX);
+                        self.items.row(self.tools.rows.item(triangle))
+                    } else {
+                        // The cells that see a neighbour of the triangle and not the triangle: mostly none.
+                        near.fill(0);
+                        for beside in self.tools.surface.neighbours[triangle as usize] {
+                            if beside != SKY {
+                                near.iter_mut()
+                                    .zip(self.bits.row(self.row(beside)))
+                                    .for_each(|(n, seen)| *n |= seen);
+                            }
                         }
-                    }
+                        row
+                    };
                     let mut any = 0;
-                    for ((n, seen), w) in near.iter_mut().zip(row).zip(&wanted) {
+                    for ((n, seen), w) in near.iter_mut().zip(seen).zip(&wanted) {
                         *n &= w & !seen;
                         any |= *n;
                     }
@@ -149,7 +158,7 @@ impl Block<'_> {
         for (i, candidate) in stripes.into_iter().flatten() {
             lists[i as usize].push(candidate);
         }
-        if !self.tools.rows.are_triangles() {
+        if !self.tools.rows.of_triangles().is_empty() {
             lists.par_iter_mut().for_each(|list| self.largest_of_each(list));
         }
         lists
@@ -213,8 +222,7 @@ impl Block<'_> {
             if time > 0 {
                 wanted.retain(|candidate| {
                     let more = self.yields.times(candidate.part) - f64::from(time);
-                    s.met[self.row(candidate.triangle) as usize] != s.tag
-                        && more > f64::from(aiming.random.unit())
+                    self.is_unmet(s, candidate) && more > f64::from(aiming.random.unit())
                 });
             }
             if wanted.is_empty() {
@@ -225,12 +233,20 @@ impl Block<'_> {
                     return Ok(());
                 }
                 // An earlier line may have met it since.
-                let unmet = |c: &&Candidate| s.met[self.row(c.triangle) as usize] != s.tag;
+                let unmet = |c: &&Candidate| self.is_unmet(s, c);
                 let some: Vec<Candidate> = some.iter().filter(unmet).copied().collect();
                 self.try_some(s, aiming, &some, time)?;
             }
         }
         Ok(())
+    }
+
+    /// Returns true if no line of this aiming has met the item of a candidate.
+    fn is_unmet(&self, s: &Scratch, candidate: &Candidate) -> bool {
+        match self.tools.rows.are_finer() {
+            true => s.met_items[self.tools.rows.item(candidate.triangle) as usize] != s.tag,
+            false => s.met[self.row(candidate.triangle) as usize] != s.tag,
+        }
     }
 
     /// Try number `time` at each of `some`, and the flood from what the lines find.
@@ -259,7 +275,7 @@ impl Block<'_> {
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
         self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
-        let Scratch { packets, passed, crossed, joined, met, tag, tally, .. } = &mut *s;
+        let Scratch { packets, passed, crossed, joined, met, met_items, tag, tally, .. } = &mut *s;
         let mut finds = Vec::new();
         for (pair, group) in some.chunks(LANES).enumerate() {
             let halves = [2 * pair, 2 * pair + 1];
@@ -280,6 +296,9 @@ impl Block<'_> {
                         return;
                     }
                     let row = self.row(triangle);
+                    if self.tools.rows.are_finer() {
+                        met_items[self.tools.rows.item(triangle) as usize] = *tag;
+                    }
                     if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
                         met[row as usize] = *tag;
                         finds.push(Find { packet: pair as u32, origin, triangle });

@@ -35,7 +35,7 @@ impl Block<'_> {
             let stats = &mut self.stats[cell];
             stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
         }
-        self.bits.publish();
+        self.publish();
         self.count_done(self.cells.len());
         Ok(())
     }

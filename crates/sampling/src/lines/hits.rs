@@ -38,7 +38,7 @@ pub fn count(
     watcher: &dyn Watcher,
 ) -> Result<u64, TileError> {
     let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
-    let rows = job.scene.rows(job.params.granularity);
+    let rows = job.rows();
     let classes = job.scene.for_cubes(false).duplicates;
     let twins: BTreeMap<u32, &[u32]> =
         classes.iter().flat_map(|c| c.iter().map(|t| (*t, c.as_slice()))).collect();

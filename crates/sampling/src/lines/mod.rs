@@ -22,6 +22,7 @@ mod flood;
 pub mod grid;
 mod guided;
 pub mod hits;
+mod items;
 pub mod joining;
 pub mod ledger;
 mod on_device;

@@ -33,6 +33,10 @@ const MOST_ROUNDS: u32 = 24;
 /// Multiple of the average cell's work from which a cell's tolerance grows in proportion to its work. Its
 /// error is one of many in the mean error, and the other cells use the time better. See [`Tolerance`].
 const HARD_FROM: f64 = 3.0;
+/// The part of the target that remains where items are clusters or objects: a missed line is rarer than with
+/// triangles, and with the whole target more small items were missed than a bake of triangles misses
+/// (`docs/experiments/items.md`).
+const OF_ITEMS: f64 = 0.5;
 /// Seeds are cast for targets below this one; above it they cost more than they gain.
 const SEEDS_BELOW: f64 = 3e-3;
 
@@ -58,6 +62,9 @@ impl Block<'_> {
             (self.stats[*cell].unfinished, self.stats[*cell].raised_tolerance) = (false, false);
         }
         let enough = self.enough;
+        // A device counts the misses of triangles.
+        let by_items = self.tools.rows.are_finer() && !self.is_on_device();
+        let target = if by_items { target * OF_ITEMS } else { target };
         self.flood_steps = steps_from_candidates(target);
         for round in 0..MOST_ROUNDS {
             if open.is_empty() || self.late() {
@@ -73,7 +80,7 @@ impl Block<'_> {
             } else {
                 self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
             }
-            self.bits.publish();
+            self.publish();
             if round == 1 && !self.seeded && target < SEEDS_BELOW {
                 self.seeded = true;
                 if self.is_on_device() {
@@ -81,7 +88,7 @@ impl Block<'_> {
                 } else {
                     self.seeds()?;
                 }
-                self.bits.publish();
+                self.publish();
             }
             if self.late() {
                 break;
@@ -100,7 +107,7 @@ impl Block<'_> {
             } else {
                 self.aim_at_candidates(&open, &least, round)?;
             }
-            self.bits.publish();
+            self.publish();
             if self.late() {
                 // Aiming was cut short, so the rule below does not hold.
                 break;

@@ -81,7 +81,7 @@ impl Block<'_> {
                         if triangle == SKY || self.seen(triangle, c.slot) {
                             return;
                         }
-                        stats.last_misses += 1;
+                        stats.last_misses += u64::from(!self.shown(triangle, c.slot));
                         let met = &mut met[self.row(triangle) as usize];
                         if *met != *tag {
                             *met = *tag;

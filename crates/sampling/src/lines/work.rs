@@ -36,7 +36,7 @@ impl Work<'_> {
         let tools = Tools {
             scene: self.scene.scene,
             surface: self.scene.surface,
-            rows: self.job.scene.rows(self.job.params.granularity),
+            rows: self.job.rows(),
             sight: self.sight,
             seed: self.job.seed,
             watcher: self.watcher,
@@ -49,7 +49,7 @@ impl Work<'_> {
         let (min, max) = within.world(&self.job.lattice);
         let mut block = Block::new(tools, CellGrid::new(min, max, cells), number, parts);
         meeting(self, within, &block);
-        block.bits_mut().publish();
+        block.publish();
         block
     }
 }
@@ -105,9 +105,13 @@ pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
 
 /// Gives triangles that are seen together the union of their rows: duplicates, and the items that share one.
 pub fn share(work: &Work<'_>, block: &mut Block<'_>) {
-    let rows = work.job.scene.rows(work.job.params.granularity);
-    match rows.are_triangles() {
-        true => block.bits_mut().share(work.scene.duplicates),
-        false => block.bits_mut().share_rows(rows.items(), rows.shared()),
+    let rows = work.job.rows();
+    if rows.of_triangles().is_empty() {
+        block.bits_mut().share(work.scene.duplicates);
+        if rows.are_finer() {
+            block.bits_mut().to_items(rows.members());
+        }
+    } else {
+        block.bits_mut().share_rows(rows.items(), rows.shared());
     }
 }
