@@ -157,7 +157,9 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         drop(store);
         // The view is what the journal alone gives.
         let other = tempfile::tempdir().unwrap();
-        std::fs::copy(directory.path().join("journal"), other.path().join("journal")).unwrap();
+        for name in ["journal", "journal.mark"] {
+            std::fs::copy(directory.path().join(name), other.path().join(name)).unwrap();
+        }
         assert!(
             state(&SledStore::open(other.path()).unwrap()) == found,
             "round {round}: view and journal differ"

@@ -4,9 +4,10 @@ use std::time::Duration;
 
 use super::entries::Entry;
 use super::error::StoreError;
+use super::identity::StoreIdentity;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
-    TileCheck, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
+    Submitted, TileCheck, TileRecord, TileResult,
 };
 use crate::ids::{Digest, JobId, TileIndex};
 
@@ -51,6 +52,9 @@ pub trait Store: Send + Sync {
     /// one still leads. Changes nothing.
     fn may_change(&self) -> Result<(), StoreError>;
 
+    /// Returns the identity of the store. The first call draws one and records it.
+    fn identity(&self) -> Result<StoreIdentity, StoreError>;
+
     /// The epoch begun last; 0 before the first.
     fn epoch(&self) -> Result<u64, StoreError>;
 
@@ -85,6 +89,20 @@ pub trait Store: Send + Sync {
     /// Records that a tile failed on a worker; returns the number of different workers on which it has failed
     /// (counted up to a limit). Nothing changes if the tile is no longer open or the job has ended.
     fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError>;
+
+    /// Records the death of a worker as [`Store::fail_tile`] records a failure. A recorded failure of the
+    /// worker stays, so that [`Store::forget_failure`] of this death does not remove it.
+    fn count_death(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str)
+    -> Result<u32, StoreError>;
+
+    /// Forgets the failure of an open tile on a worker, if its last reason is this one.
+    fn forget_failure(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<(), StoreError>;
 
     /// Sets an open tile aside: `digest` names the stand-in ("all visible") shipped for it.
     /// The same call again is accepted; a tile that is done stays done ([`StoreError::TileNotOpen`]).
@@ -140,6 +158,12 @@ pub trait Store: Send + Sync {
 
     /// Records that a worker gets tiles again; returns whether it had none.
     fn release(&self, worker: &str) -> Result<bool, StoreError>;
+
+    /// Returns the last stamp of the clocks of retention, or `None` before the first.
+    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError>;
+
+    /// Records a stamp of the clocks of retention, which replaces the previous one.
+    fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError>;
 
     /// Removes a scene that no job names; returns its record, so that the caller can remove the blob.
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError>;

@@ -6,11 +6,12 @@ use serde::de::DeserializeOwned;
 
 use super::entries::Entry;
 use super::error::StoreError;
+use super::identity::StoreIdentity;
 use super::limits::{
-    MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
+    MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES,
     check_identifier, check_length, check_name,
 };
-use super::records::{JobRecord, QuarantineRecord, SceneRecord, TileRecord};
+use super::records::{JobRecord, QuarantineRecord, RetentionStamp, SceneRecord, TileRecord, TrustedSpan};
 use super::table::{decode, key};
 use crate::ids::JobId;
 
@@ -41,10 +42,22 @@ pub(super) fn entry(entry: &Entry) -> Result<(), StoreError> {
         }
         Some(b'q') => {
             let record = read::<QuarantineRecord>(entry)?;
-            check_identifier("the worker's name", &record.worker, MAX_WORKER_BYTES)?;
+            check_identifier("the worker's name", &record.worker, MAX_SIGNATURE_BYTES)?;
             is_at(key::quarantined(&record.worker))
         }
         Some(b'k' | b'r' | b'n') => number(decode::<JobId>(at, value)?),
+        Some(b'i') => {
+            decode::<StoreIdentity>(at, value)?;
+            is_at(key::IDENTITY.to_vec())
+        }
+        Some(b'c') => {
+            let stamp = decode::<RetentionStamp>(at, value)?;
+            let begun = |span: TrustedSpan| span.begun_ms.max(span.next.map_or(0, |next| next.begun_ms));
+            if begun(stamp.jobs).max(begun(stamp.blobs)) > stamp.ran_ms {
+                return Err(foreign(at, "a trusted span begins after the run time"));
+            }
+            is_at(key::RETENTION_STAMP.to_vec())
+        }
         Some(b'e') => decode::<u64>(at, value).map(drop),
         _ => Err(foreign(at, "no record has such a key")),
     }
@@ -70,6 +83,7 @@ mod tests {
     use super::super::api::Store;
     use super::super::conformance::everything;
     use super::super::memory::MemoryStore;
+    use super::super::records::NextSpan;
     use super::super::table::{check, encode};
     use super::*;
 
@@ -120,6 +134,20 @@ mod tests {
         everything(&store);
     }
 
+    #[test]
+    fn stamp_with_span_after_its_run_time_is_rejected() {
+        let key = key::RETENTION_STAMP.to_vec();
+        let mut stamp = RetentionStamp { ran_ms: 5, ..RetentionStamp::default() };
+        stamp.jobs.begun_ms = 5;
+        let of = |stamp: &RetentionStamp| Entry { value: encode(&key, stamp).unwrap(), key: key.clone() };
+        entry(&of(&stamp)).unwrap();
+        stamp.blobs.begun_ms = 6;
+        assert!(matches!(entry(&of(&stamp)), Err(StoreError::Foreign { .. })));
+        stamp.blobs.begun_ms = 5;
+        stamp.blobs.next = Some(NextSpan { begun_ms: 6, doubt_ms: 0 });
+        assert!(matches!(entry(&of(&stamp)), Err(StoreError::Foreign { .. })));
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2000) })]
 
@@ -145,7 +173,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_as_a_value_are_read_or_refused(key in "[sjtqkrnex][ -~]{0,20}", value: Vec<u8>) {
+        fn any_bytes_as_a_value_are_read_or_refused(key in "[sjtqkrneix][ -~]{0,20}", value: Vec<u8>) {
             let _ = entry(&Entry { key: key.into_bytes(), value });
         }
     }

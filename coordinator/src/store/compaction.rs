@@ -3,12 +3,12 @@
 //! The new journal is written beside the old one, synced, and moved into its place; a crash leaves one of the
 //! two. The view is made anew from it at the next start.
 
-use std::fs::File;
 use std::path::Path;
 
+use super::disk::Disk;
 use super::entries::Entry;
-use super::error::{JournalError, StoreError};
-use super::journal::Journal;
+use super::error::StoreError;
+use super::journal::{Journal, Numbers};
 use super::rules::Event;
 
 /// A frame takes no more entries once their texts are this long.
@@ -24,20 +24,14 @@ pub(super) fn is_worth(journal: u64, entries: &[Entry]) -> bool {
     journal > SHORT && journal / TIMES > live
 }
 
-/// Writes a journal of these entries in the place of the one at `path`; returns its length.
-pub(super) fn replace(path: &Path, entries: &[Entry]) -> Result<u64, StoreError> {
-    let io = |doing, path: &Path| {
-        let path = path.to_owned();
-        move |source| JournalError::Io { doing, path, source: std::sync::Arc::new(source) }
-    };
-    let beside = path.with_extension("compact");
-    match std::fs::remove_file(&beside) {
-        // Left by a crash.
-        Ok(()) => {}
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
-        Err(e) => return Err(io("remove", &beside)(e).into()),
-    }
-    let mut journal = Journal::open(&beside)?;
+/// Writes a journal of these entries in the place of the one at `path`; returns its length in bytes.
+pub(super) fn replace(
+    disk: &dyn Disk,
+    path: &Path,
+    entries: &[Entry],
+    numbers: Numbers,
+) -> Result<u64, StoreError> {
+    let mut journal = Journal::begin(disk, &path.with_extension("compact"))?;
     let mut written = entries.iter().map(Entry::written).peekable();
     while written.peek().is_some() {
         let (mut frame, mut bytes) = (Vec::new(), 0);
@@ -46,15 +40,9 @@ pub(super) fn replace(path: &Path, entries: &[Entry]) -> Result<u64, StoreError>
             frame.push((key, value));
         }
         let payload = serde_json::to_vec(&[Event::Imported { entries: frame }]);
-        journal.append(&payload.map_err(|e| StoreError::View { what: e.to_string() })?)?;
+        journal.append(&payload.map_err(|e| StoreError::View { what: e.to_string() })?, numbers)?;
     }
-    let end = journal.end();
-    drop(journal);
-    std::fs::rename(&beside, path).map_err(io("move into place", path))?;
-    if let Some(directory) = path.parent() {
-        File::open(directory).and_then(|d| d.sync_all()).map_err(io("sync", directory))?;
-    }
-    Ok(end)
+    Ok(journal.install(disk, path, numbers)?)
 }
 
 #[cfg(test)]

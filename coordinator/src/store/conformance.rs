@@ -19,11 +19,13 @@ pub(super) enum Op {
     Bind(JobId, u8),
     Commit(JobId, TileIndex, u8),
     Fail(JobId, TileIndex, u8, u8),
+    Forget(JobId, TileIndex, u8, u8),
     SetAside(JobId, TileIndex, u8),
     SetState(JobId, u8, u8),
     Finish(JobId, u8),
     Reopen(JobId),
     Epoch,
+    Stamp(u8),
     Delete(JobId),
 }
 
@@ -92,6 +94,16 @@ fn new_job(key: u8, request_number: u8, scene: u8, tiles: u32) -> NewJob {
     }
 }
 
+fn stamp(n: u8) -> RetentionStamp {
+    let n = u64::from(n);
+    let span = |n: u64| TrustedSpan {
+        begun_ms: n,
+        doubt_ms: u64::MAX - n,
+        next: n.is_multiple_of(2).then_some(NextSpan { begun_ms: n, doubt_ms: 3 }),
+    };
+    RetentionStamp { wall_ms: 1000 * n, ran_ms: n + 1, jobs: span(n), blobs: span(n + 1) }
+}
+
 fn told<T: Debug>(answer: Result<T, StoreError>) -> String {
     match answer {
         Ok(answer) => format!("{answer:?}"),
@@ -121,11 +133,15 @@ pub(super) fn perform(store: &dyn Store, op: &Op) -> String {
         Op::Bind(job, n) => told(store.bind_profile(job, &format!("profile {n}"))),
         Op::Commit(job, tile, n) => told(store.commit_tile(job, tile, result(n))),
         Op::Fail(job, tile, w, r) => told(store.fail_tile(job, tile, &format!("w{w}"), &format!("r{r}"))),
+        Op::Forget(job, tile, w, r) => {
+            told(store.forget_failure(job, tile, &format!("w{w}"), &format!("r{r}")))
+        }
         Op::SetAside(job, tile, n) => told(store.set_aside_tile(job, tile, digest(n), 7, &["x".to_owned()])),
         Op::SetState(job, from, to) => told(store.set_job_state(job, &phases(from), state(to), 2000)),
         Op::Finish(job, n) => told(store.finish_job(job, digest(n), 8, 3000)),
         Op::Reopen(job) => told(store.reopen_tiles(job)),
         Op::Epoch => told(store.begin_epoch()),
+        Op::Stamp(n) => told(store.stamp_retention(stamp(n))),
         Op::Delete(job) => told(store.delete_job(job)),
     }
 }
@@ -150,9 +166,10 @@ pub(super) fn everything(store: &dyn Store) -> String {
     let keys: Vec<_> = (0..4).map(|n| id(store.job_by_key(&digest(n)).unwrap())).collect();
     let requests: Vec<_> = (0..4).map(|n| id(store.job_by_request(&request(n)).unwrap())).collect();
     format!(
-        "{:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {}",
+        "{:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {} {:?}",
         store.scenes().unwrap(),
-        store.epoch().unwrap()
+        store.epoch().unwrap(),
+        store.retention_stamp().unwrap()
     )
 }
 
@@ -165,6 +182,7 @@ pub(super) struct Model {
     requests: BTreeMap<String, JobId>,
     last_job: JobId,
     epoch: u64,
+    stamp: Option<RetentionStamp>,
 }
 
 impl Model {
@@ -236,9 +254,14 @@ impl Model {
                 self.epoch += 1;
                 return say(self.epoch);
             }
-            Op::Commit(job, tile, _) | Op::Fail(job, tile, ..) | Op::SetAside(job, tile, _) => {
-                (job, Some(tile))
+            Op::Stamp(n) => {
+                self.stamp = Some(stamp(n));
+                return say(());
             }
+            Op::Commit(job, tile, _)
+            | Op::Fail(job, tile, ..)
+            | Op::Forget(job, tile, ..)
+            | Op::SetAside(job, tile, _) => (job, Some(tile)),
             Op::Prioritize(job, _)
             | Op::Plan(job, _)
             | Op::Bind(job, _)
@@ -278,6 +301,12 @@ impl Model {
                     return say(found.failures.len());
                 }
                 (Op::Fail(..), _) => return say(found.failures.len()),
+                (&Op::Forget(_, _, w, r), TileState::Open) if !ended => {
+                    let meant = TileFailure { worker: format!("w{w}"), reason: format!("r{r}") };
+                    found.failures.retain(|failure| *failure != meant);
+                    return say(());
+                }
+                (Op::Forget(..), _) => return say(()),
                 (&Op::SetAside(_, _, n), TileState::SetAside { digest: d, .. }) if d == digest(n) => {
                     return say(());
                 }
@@ -367,7 +396,7 @@ impl Model {
         let keys: Vec<_> = (0..4).map(|n| self.newest(&digest(n)).map(|job| job.id)).collect();
         let requests: Vec<_> = (0..4).map(|n| self.requests.get(&request(n)).copied()).collect();
         let scenes: Vec<_> = self.scenes.values().collect();
-        format!("{scenes:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {}", self.epoch)
+        format!("{scenes:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {} {:?}", self.epoch, self.stamp)
     }
 }
 
@@ -383,12 +412,14 @@ pub(super) fn op() -> impl Strategy<Value = Op> {
         1 => (job(), 0..3_u8).prop_map(|(job, n)| Op::Bind(job, n)),
         10 => (job(), tile(), 0..3_u8).prop_map(|(job, tile, n)| Op::Commit(job, tile, n)),
         5 => (job(), tile(), 0..12_u8, 0..2_u8).prop_map(|(job, tile, w, r)| Op::Fail(job, tile, w, r)),
+        3 => (job(), tile(), 0..12_u8, 0..2_u8).prop_map(|(job, tile, w, r)| Op::Forget(job, tile, w, r)),
         3 => (job(), tile(), 0..3_u8).prop_map(|(job, tile, n)| Op::SetAside(job, tile, n)),
         4 => (job(), prop_oneof![3 => Just(63_u8), 1 => 0..64_u8], 0..6_u8)
             .prop_map(|(job, from, to)| Op::SetState(job, from, to)),
         4 => (job(), 0..2_u8).prop_map(|(job, n)| Op::Finish(job, n)),
         2 => job().prop_map(Op::Reopen),
         1 => Just(Op::Epoch),
+        1 => (0..3u8).prop_map(Op::Stamp),
         2 => job().prop_map(Op::Delete),
     ]
 }
@@ -557,27 +588,30 @@ fn a_directory_in_use_is_refused_with_its_owner() {
 }
 
 #[test]
-fn a_view_without_its_journal_or_with_another_journal_is_not_used() {
+fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let journal = directory.path().join("journal");
     let store = SledStore::open(directory.path()).unwrap();
     perform(&store, &Op::Epoch);
     drop(store);
-    let kept = std::fs::read(&journal).unwrap();
+    let first = std::fs::read(&journal).unwrap();
     std::fs::remove_file(&journal).unwrap();
     let missing = SledStore::open(directory.path());
     assert!(matches!(missing, Err(StoreError::Journal(JournalError::Missing { .. }))), "{missing:?}");
-    // Another journal that is longer: only its id shows that it is another one.
+    // Another journal that is longer, with its watermark: only its id shows that it is another one.
     let other = tempfile::tempdir().unwrap();
     let store = SledStore::open(other.path()).unwrap();
     (0..5).for_each(|_| drop(perform(&store, &Op::Epoch)));
     drop(store);
-    std::fs::copy(other.path().join("journal"), &journal).unwrap();
+    for name in ["journal", "journal.mark"] {
+        std::fs::copy(other.path().join(name), directory.path().join(name)).unwrap();
+    }
     assert_eq!(SledStore::open(directory.path()).unwrap().epoch().unwrap(), 5);
     assert!(directory.path().join("sled.broken-1").exists());
-    // The first journal cut short, with a view that is ahead of it.
-    std::fs::write(&journal, &kept[..24]).unwrap();
-    assert_eq!(SledStore::open(directory.path()).unwrap().epoch().unwrap(), 0);
+    // A journal that was copied without its watermark.
+    std::fs::write(&journal, &first).unwrap();
+    let refused = SledStore::open(directory.path());
+    assert!(matches!(refused, Err(StoreError::Journal(JournalError::Damaged { .. }))), "{refused:?}");
 }
 
 #[test]

@@ -25,14 +25,14 @@ fn job(tiles: u32) -> NewJob {
 }
 
 fn result(n: u8) -> TileResult {
-    let worker = "w".repeat(MAX_WORKER_BYTES);
-    let helpers = vec!["h".repeat(MAX_WORKER_BYTES); MAX_HELPERS];
+    let worker = "w".repeat(MAX_SIGNATURE_BYTES);
+    let helpers = vec!["h".repeat(MAX_SIGNATURE_BYTES); MAX_HELPERS];
     let stats = TileStats { worker, helpers, unnamed: u32::MAX, at_ms: u64::MAX, ..TileStats::default() };
     TileResult { digest: [n; 32], bytes: u64::MAX, stats }
 }
 
 fn check(at_ms: u64) -> TileCheck {
-    TileCheck { worker: "c".repeat(MAX_WORKER_BYTES), at_ms }
+    TileCheck { worker: "c".repeat(MAX_SIGNATURE_BYTES), at_ms }
 }
 
 /// Runs the commands on an empty store.

@@ -6,9 +6,10 @@
 use super::api::{Report, Store};
 use super::entries::{self, Entry};
 use super::error::StoreError;
+use super::identity::StoreIdentity;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
-    TileCheck, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
+    Submitted, TileCheck, TileRecord, TileResult,
 };
 use super::rules::{self, Decision};
 use super::table::View;
@@ -67,6 +68,13 @@ impl<E: Engine> Store for E {
         self.query(|view| view.epoch())
     }
 
+    fn identity(&self) -> Result<StoreIdentity, StoreError> {
+        if let Some(known) = self.query(|view| view.identity())? {
+            return Ok(known);
+        }
+        let fresh = StoreIdentity::random()?;
+        self.command(move |view| upkeep::identify(view, fresh))
+    }
     fn may_change(&self) -> Result<(), StoreError> {
         self.writable()?;
         self.command(|_| Ok(Decision { event: None, answer: () }))
@@ -98,6 +106,26 @@ impl<E: Engine> Store for E {
     fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError> {
         let (worker, reason) = (worker.to_owned(), reason.to_owned());
         self.command(move |view| rules::fail_tile(view, job, tile, worker, &reason))
+    }
+    fn count_death(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<u32, StoreError> {
+        let (worker, reason) = (worker.to_owned(), reason.to_owned());
+        self.command(move |view| rules::count_death(view, job, tile, worker, &reason))
+    }
+    fn forget_failure(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<(), StoreError> {
+        let (worker, reason) = (worker.to_owned(), reason.to_owned());
+        self.command(move |view| rules::forget_failure(view, job, tile, &worker, &reason))
     }
     fn set_aside_tile(
         &self,
@@ -154,6 +182,12 @@ impl<E: Engine> Store for E {
     fn release(&self, worker: &str) -> Result<bool, StoreError> {
         let worker = worker.to_owned();
         self.command(move |view| upkeep::release(view, worker))
+    }
+    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError> {
+        self.query(|view| view.retention_stamp())
+    }
+    fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError> {
+        self.command(move |view| rules::stamp_retention(view, stamp))
     }
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError> {
         self.command(move |view| upkeep::delete_scene(view, scene))

@@ -2,7 +2,7 @@
 //!
 //! The errors can be cloned: one failed disk write answers every command that shared it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::records::JobPhase;
@@ -153,6 +153,12 @@ pub enum StoreError {
         /// The fault.
         what: String,
     },
+    /// The writer thread cannot be started.
+    #[error("the system cannot start another thread ({what}); raise its limit of threads, or free memory")]
+    Thread {
+        /// The system's error.
+        what: String,
+    },
     /// The journal holds events this version does not know.
     #[error(
         "the journal's frame before byte {before} cannot be understood ({what}); use the version that wrote \
@@ -282,9 +288,10 @@ pub enum StoreError {
 /// The journal could not be read or written.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JournalError {
-    /// Not a journal, or one of another version.
+    /// A journal of another version.
     #[error(
-        "{} is not a journal this version reads ({what}); use the version that wrote it, or move it away",
+        "{} is a journal that this version cannot read ({what}); use the version that wrote it, or move the \
+         data directory away to begin with an empty store",
         .path.display()
     )]
     BadHeader {
@@ -293,31 +300,42 @@ pub enum JournalError {
         /// The fault.
         what: String,
     },
-    /// Damage before the end.
+    /// Acknowledged frames are damaged or missing. The journal stays as it is.
     #[error(
-        "{} is damaged at byte {offset} ({what}) and intact after that; restore it from a backup, or \
-            truncate \
-         it to {offset} bytes to give up everything after", .path.display()
+        "{} is damaged at byte {offset}: {what}{}; restore {} from a backup, or run `{}` to repair it",
+        .path.display(), after_semicolon(.lost), folder_of(.path).display(), repair_command(.path)
     )]
-    Corrupt {
+    Damaged {
         /// The file.
         path: PathBuf,
-        /// Where the first bad record begins.
+        /// The offset of the first bad frame.
         offset: u64,
         /// The fault.
         what: String,
+        /// A sentence about acknowledged changes that a repair would lose; may be empty.
+        lost: String,
     },
-    /// The journal is missing, but the view made from it is there.
+    /// A part of the journal cannot be read. The journal stays as it is.
     #[error(
-        "{} is missing but {} is there: restore the journal from a backup, or move both away to begin with \
-            an empty store",
-        .path.display(), .view.display()
+        "{} cannot be read: {source}; if that stays so, copy {} to another disk or restore it from a backup, \
+         or run `{}` to keep the readable part",
+        .path.display(), folder_of(.path).display(), repair_command(.path)
+    )]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: Arc<std::io::Error>,
+    },
+    /// The journal is missing, but its watermark or its view exists.
+    #[error(
+        "{} is missing, and files that were made with it exist; restore {} from a backup, or run `{}` to \
+         continue with the records that these files hold",
+        .path.display(), folder_of(.path).display(), repair_command(.path)
     )]
     Missing {
-        /// Where the journal should be.
+        /// The expected path of the journal.
         path: PathBuf,
-        /// The view.
-        view: PathBuf,
     },
     /// The disk is full. Nothing changed.
     #[error("no space left for {}; free some, the store goes on by itself", .path.display())]
@@ -354,6 +372,37 @@ pub enum JournalError {
         /// The system's error.
         source: Arc<std::io::Error>,
     },
+}
+
+/// Returns the folder of the store whose journal is at `path`.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(path)
+}
+
+/// Returns the command that repairs the store whose journal is at `path`.
+fn repair_command(path: &Path) -> String {
+    let folder = folder_of(path);
+    match folder.parent().filter(|_| folder.file_name().is_some_and(|name| name == "state")) {
+        Some(data) => format!("sightline store verify --repair --data-dir {}", quoted(data)),
+        None => {
+            format!("sightline store verify --repair --store {}", format_args!("sled:{}", quoted(folder)))
+        }
+    }
+}
+
+/// Quotes a path for a shell where that is necessary.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+:".contains(c);
+    match text.is_empty() {
+        true => ".".to_owned(),
+        false if text.chars().all(plain) => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
+}
+
+fn after_semicolon(sentence: &str) -> String {
+    if sentence.is_empty() { String::new() } else { format!("; {sentence}") }
 }
 
 /// What a user can do with a job in a state.

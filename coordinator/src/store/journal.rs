@@ -2,114 +2,112 @@
 //!
 //! ```text
 //! header  "SLJOURNL"  version u32  id u64  crc32c u32 of the 20 bytes before      (little-endian throughout)
-//! frame   length u32  crc32c u32 of (offset of the frame u64, length u32, payload)  payload
+//! frame   length u32  previous u64  check u64  payload
 //! ```
-//! One frame is one group commit, written and synced as a whole. Its checksum covers its offset, so that old
-//! bytes of the file are never taken for a frame elsewhere. A bad frame without a good one after it is an
-//! unfinished, unacknowledged write: it is cut off, with a warning. A bad frame with a good one after it is
-//! damage, which only a person may repair: the journal is refused.
+//! One frame is one group commit, written and synced as a whole. Its check is the first eight bytes of the
+//! BLAKE3 digest of (offset of the frame u64, length, previous, payload), and `previous` is the check of the
+//! frame before, or the journal's id. So each frame continues one chain, and old bytes of the file never pass
+//! for a frame of another place or another history.
 //!
-//! The journal does not interpret payloads. The file grows by a few hundred bytes a tile, and opening it
+//! The watermark (`watermark.rs`) records the acknowledged length and the chain there. A bad frame behind it
+//! that no good frame follows is an unfinished write, which was never acknowledged: it is cut off, with a
+//! warning. Any other bad frame, and a file that is shorter than the watermark, is damage: opening the
+//! journal fails and leaves the file unchanged (`salvage.rs` repairs it on demand).
+//!
+//! The journal does not interpret payloads. The file grows by a few hundred bytes per tile, and opening it
 //! reads all of it; `compaction.rs` replaces one that has grown long.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, ErrorKind, Read, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::disk::{self, Access, Disk, DiskFile};
 use super::error::JournalError;
+pub(super) use super::place::{Numbers, Place};
+use super::watermark::{self, Watermark, WatermarkFile};
 
 const MAGIC: &[u8; 8] = b"SLJOURNL";
-const VERSION: u32 = 1;
-/// Where the first frame begins.
+const VERSION: u32 = 2;
+/// The offset of the first frame.
 pub(super) const HEADER_BYTES: u64 = 24;
-const FRAME_HEADER: u64 = 8;
-/// Longest payload. Also the most a crash can leave behind, so a longer bad end is damage.
+const FRAME_HEADER: u64 = 20;
+/// Maximum length of a payload. Also the most that a crash can leave behind, so a longer bad end is damage.
 pub(super) const MAX_FRAME_BYTES: usize = 16 << 20;
-
-/// The file as the journal writes it; the tests put a full disk in its place.
-pub(super) trait LogFile: Send {
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()>;
-    fn sync(&mut self) -> io::Result<()>;
-    /// Cuts the file; the next append goes to its new end.
-    fn truncate(&mut self, length: u64) -> io::Result<()>;
-}
-
-impl LogFile for File {
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.write_all(bytes)
-    }
-
-    fn sync(&mut self) -> io::Result<()> {
-        self.sync_data()
-    }
-
-    fn truncate(&mut self, length: u64) -> io::Result<()> {
-        self.set_len(length)?;
-        self.seek(SeekFrom::Start(length)).map(|_| ())
-    }
-}
 
 /// An open journal.
 pub(super) struct Journal {
     path: PathBuf,
-    file: Box<dyn LogFile>,
-    /// A random number that tells this journal from others.
+    file: Box<dyn DiskFile>,
+    /// A random number that distinguishes this journal from others.
     id: u64,
-    /// The offset of the next frame.
-    end: u64,
+    /// The place of the next frame.
+    end: Place,
+    /// `None` for a journal that is not in its place yet.
+    marks: Option<WatermarkFile>,
     /// Set when the content of the file is no longer known.
     unusable: Option<Arc<io::Error>>,
 }
 
 impl Journal {
     /// Opens or creates the journal, checks every frame, and removes an unfinished frame at the end.
-    pub(super) fn open(path: &Path) -> Result<Self, JournalError> {
-        if !path.try_exists().map_err(fault("look for", path))? {
-            create(path)?;
-        }
-        let mut file = OpenOptions::new().read(true).write(true).open(path).map_err(fault("open", path))?;
-        let length = file.metadata().map_err(fault("measure", path))?.len();
-        let id = read_header(&mut file, path)?;
-        let mut frames = Frames { path, reader: BufReader::new(&file), offset: HEADER_BYTES, length };
-        let bad = loop {
-            match frames.next()? {
-                Next::Frame(_) => {}
-                Next::End => break None,
-                Next::Bad(what) => break Some(what),
+    ///
+    /// `view` is the acknowledged part as the view knows it; the longer one of it and the watermark counts.
+    ///
+    /// # Errors
+    /// [`JournalError::Damaged`] when acknowledged frames are damaged or missing; the file then stays as it
+    /// is.
+    pub(super) fn open(disk: &dyn Disk, path: &Path, view: Option<Watermark>) -> Result<Self, JournalError> {
+        let mark_path = watermark::path_of(path);
+        let marks = watermark::read(disk, &mark_path)?;
+        if disk.attributes(path).map_err(fault("look for", path))?.is_none() {
+            if marks.iter().chain(&view).any(|mark| mark.length > HEADER_BYTES) {
+                return Err(JournalError::Missing { path: path.to_owned() });
             }
-        };
-        let end = frames.offset;
-        if let Some(what) = bad {
-            refuse_damage(&mut file, path, end, length, what)?;
+            create(disk, path)?;
+            return Self::open(disk, path, None);
         }
-        if end < length {
+        let opened = inspect(disk, path, &marks, view, |_, _| Ok::<_, JournalError>(()))?;
+        let Inspected { id, end, length, acknowledged, damage, .. } = opened;
+        if let Some((offset, what)) = damage {
+            return Err(JournalError::Damaged { path: path.to_owned(), offset, what, lost: String::new() });
+        }
+        let mut file = disk.open(path, Access::Update).map_err(fault("open", path))?;
+        if end.offset < length {
             tracing::warn!(
-                path = %path.display(), bytes = length - end, offset = end,
+                path = %path.display(), bytes = length - end.offset, offset = end.offset,
                 "the journal ends in an unfinished write, which was never acknowledged; cutting it off"
             );
-            file.set_len(end).map_err(fault("truncate", path))?;
-            file.sync_all().map_err(fault("sync", path))?;
+            file.set_length(end.offset).map_err(fault("truncate", path))?;
         }
-        file.seek(SeekFrom::Start(end)).map_err(fault("seek in", path))?;
-        Ok(Self { path: path.to_owned(), file: Box::new(file), id, end, unusable: None })
+        let measured = acknowledged.map_or(HEADER_BYTES, |mark| mark.length);
+        rewrite(&mut *file, measured, end.offset).map_err(fault("write", path))?;
+        let marks = Some(WatermarkFile::open(disk, &mark_path)?);
+        let mut this = Self { path: path.to_owned(), file, id, end, marks, unusable: None };
+        this.file.seek(SeekFrom::Start(end.offset)).map_err(fault("seek in", path))?;
+        Ok(this)
+    }
+
+    /// Begins a new journal at `path`, without a watermark: it is not in its place yet.
+    pub(super) fn begin(disk: &dyn Disk, path: &Path) -> Result<Self, JournalError> {
+        disk::remove_if_present(disk, path).map_err(fault("remove", path))?;
+        let id = random_id(path)?;
+        let mut file = disk.open(path, Access::Create).map_err(fault("create", path))?;
+        file.write_all(&header(id)).map_err(fault("write", path))?;
+        let end = Place { offset: HEADER_BYTES, chain: id };
+        Ok(Self { path: path.to_owned(), file, id, end, marks: None, unusable: None })
     }
 
     pub(super) fn id(&self) -> u64 {
         self.id
     }
 
-    pub(super) fn end(&self) -> u64 {
+    pub(super) fn end(&self) -> Place {
         self.end
     }
 
-    pub(super) fn path(&self) -> &Path {
-        &self.path
-    }
-
-    /// Appends a frame; the frame is on the disk when this returns its end. After an error the journal is as
-    /// before, or it is unusable and returns that error from then on.
-    pub(super) fn append(&mut self, payload: &[u8]) -> Result<u64, JournalError> {
+    /// Appends a frame and returns its end. The frame is on the disk then, and the watermark records it.
+    /// After an error the journal is as before, or it is unusable and returns that error from then on.
+    pub(super) fn append(&mut self, payload: &[u8], numbers: Numbers) -> Result<Place, JournalError> {
         if let Some(source) = &self.unusable {
             return Err(JournalError::Unusable { path: self.path.clone(), source: source.clone() });
         }
@@ -118,64 +116,262 @@ impl Journal {
             let source = Arc::new(io::Error::new(ErrorKind::InvalidInput, "the frame is too long"));
             return Err(JournalError::Write { path: self.path.clone(), source });
         };
+        let chain = check(self.end, length, payload);
         let mut frame = Vec::with_capacity(payload.len() + FRAME_HEADER as usize);
         frame.extend(length.to_le_bytes());
-        frame.extend(checksum(self.end, length, payload).to_le_bytes());
+        frame.extend(self.end.chain.to_le_bytes());
+        frame.extend(chain.to_le_bytes());
         frame.extend(payload);
-        if let Err(source) = self.file.append(&frame) {
-            if let Err(undo) = self.file.truncate(self.end).and_then(|()| self.file.sync()) {
-                return Err(self.give_up(undo));
-            }
-            let path = self.path.clone();
-            return Err(match source.kind() {
-                ErrorKind::StorageFull | ErrorKind::QuotaExceeded => JournalError::NoSpace { path },
-                _ => JournalError::Write { path, source: Arc::new(source) },
-            });
+        if let Err(source) = self.file.write_all(&frame) {
+            return Err(self.undo(source));
         }
         // After a failed sync the kernel may have dropped the pages and call the next sync a success.
         if let Err(source) = self.file.sync() {
             return Err(self.give_up(source));
         }
-        self.end += frame.len() as u64;
-        Ok(self.end)
+        let end = Place { offset: self.end.offset + frame.len() as u64, chain };
+        if let Err(JournalError::Io { source, .. }) = self.record(end, numbers) {
+            // The slot may count although its write failed. The frame can go only if the slot records the end
+            // before it again.
+            return Err(match self.record(self.end, numbers) {
+                Ok(()) => self.undo(io::Error::new(source.kind(), source)),
+                Err(_) => self.give_up(source),
+            });
+        }
+        self.end = end;
+        Ok(end)
     }
 
-    fn give_up(&mut self, source: io::Error) -> JournalError {
-        let source = Arc::new(source);
+    fn record(&mut self, end: Place, numbers: Numbers) -> Result<(), JournalError> {
+        let mark = Watermark::new(self.id, end, numbers);
+        self.marks.as_mut().map_or(Ok(()), |marks| marks.record(&mark))
+    }
+
+    /// Records the whole journal as acknowledged. To be called after the start, with the numbers of the
+    /// state.
+    pub(super) fn acknowledge(&mut self, numbers: Numbers) -> Result<(), JournalError> {
+        self.record(self.end, numbers)?;
+        self.sync_watermark()
+    }
+
+    /// Makes the watermark durable. To be called when no caller waits.
+    pub(super) fn sync_watermark(&mut self) -> Result<(), JournalError> {
+        self.marks.as_mut().map_or(Ok(()), WatermarkFile::sync)
+    }
+
+    /// Removes a frame that could not be written whole.
+    fn undo(&mut self, source: io::Error) -> JournalError {
+        let at = self.end.offset;
+        let undone = self.file.set_length(at).and_then(|()| self.file.seek(SeekFrom::Start(at)));
+        if let Err(undo) = undone.and_then(|_| self.file.sync()) {
+            return self.give_up(undo);
+        }
+        let path = self.path.clone();
+        match source.kind() {
+            ErrorKind::StorageFull | ErrorKind::QuotaExceeded => JournalError::NoSpace { path },
+            _ => JournalError::Write { path, source: Arc::new(source) },
+        }
+    }
+
+    fn give_up(&mut self, source: impl Into<Arc<io::Error>>) -> JournalError {
+        let source = source.into();
         self.unusable = Some(source.clone());
         JournalError::Unusable { path: self.path.clone(), source }
     }
+
+    /// Moves a journal that [`Journal::begin`] began into its place, over an older one, and records its
+    /// watermark. A crash leaves one of the two journals, and a watermark of each.
+    pub(super) fn install(
+        self,
+        disk: &dyn Disk,
+        place: &Path,
+        numbers: Numbers,
+    ) -> Result<u64, JournalError> {
+        let Self { path, file, id, end, .. } = self;
+        file.sync().map_err(fault("sync", &path))?;
+        drop(file);
+        let mark = Watermark::new(id, end, numbers);
+        let mut marks = WatermarkFile::open(disk, &watermark::path_of(place))?;
+        marks.record(&mark)?;
+        marks.sync()?;
+        disk.rename(&path, place).map_err(fault("move into place", place))?;
+        if let Some(folder) = place.parent() {
+            disk.sync_folder(folder).map_err(fault("sync", folder))?;
+        }
+        // The other slot still holds the older journal's.
+        marks.record(&mark)?;
+        marks.sync()?;
+        Ok(end.offset)
+    }
 }
 
-/// Calls `visit` for the payloads of all frames from `from` on, each with the offset of the frame's end, in
-/// the first `length` bytes of an open journal, which may grow meanwhile. Returns `false` without a call if
-/// no frame begins or ends at `from`.
-pub(super) fn replay<E: From<JournalError>>(
+/// The outcome of reading a whole journal.
+pub(super) struct Inspected {
+    /// The journal's id.
+    pub(super) id: u64,
+    /// The end of the good frames.
+    pub(super) end: Place,
+    /// The length of the file in bytes.
+    pub(super) length: u64,
+    /// The acknowledged part, if a watermark or the view records it.
+    pub(super) acknowledged: Option<Watermark>,
+    /// True if the good frames contain the acknowledged part.
+    pub(super) is_met: bool,
+    /// The offset and the description of damage to the acknowledged part.
+    pub(super) damage: Option<(u64, String)>,
+}
+
+impl Inspected {
+    /// Returns the outcome for a journal whose file is missing: damage if frames of it were acknowledged.
+    pub(super) fn missing(marks: &[Watermark], view: Option<Watermark>) -> Self {
+        let acknowledged = marks.iter().copied().chain(view).max_by_key(|mark| mark.length);
+        let acknowledged = acknowledged.filter(|mark| mark.length > HEADER_BYTES);
+        let id = acknowledged.map_or(0, |mark| mark.journal);
+        let damage = acknowledged.map(|_| (0, "it is missing".to_owned()));
+        let end = Place { offset: HEADER_BYTES, chain: id };
+        Self { id, end, length: 0, acknowledged, is_met: false, damage }
+    }
+}
+
+/// Reads a journal without changing it. Calls `visit` for the payload of each good frame before the first
+/// bad one, with the frame's end.
+///
+/// `marks` are the watermarks of the file, and `view` is the acknowledged part as the view knows it.
+pub(super) fn inspect<E: From<JournalError>>(
+    disk: &dyn Disk,
     path: &Path,
-    from: u64,
+    marks: &[Watermark],
+    view: Option<Watermark>,
+    mut visit: impl FnMut(&[u8], Place) -> Result<(), E>,
+) -> Result<Inspected, E> {
+    let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
+    let length = file.seek(SeekFrom::End(0)).map_err(fault("measure", path))?;
+    file.rewind().map_err(fault("seek in", path))?;
+    let header = read_header(&mut *file, path)?;
+    // The watermarks know the id where the header does not.
+    let id = header.as_ref().copied().unwrap_or(marks.first().or(view.as_ref()).map_or(0, |m| m.journal));
+    let ours = marks.iter().copied().chain(view).filter(|mark| mark.journal == id);
+    let acknowledged = ours.max_by_key(|mark| mark.length);
+    let mut damage = header.err().map(|what| (0, what));
+    let start = Place { offset: HEADER_BYTES, chain: id };
+    let mut frames =
+        Frames { path, reader: BufReader::new(file), at: start, length: length.max(HEADER_BYTES) };
+    let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
+    let mut is_met = is_acknowledged(start);
+    let bad = loop {
+        match frames.next()? {
+            Next::Frame(payload) => {
+                visit(&payload, frames.at)?;
+                is_met |= is_acknowledged(frames.at);
+            }
+            Next::End => break None,
+            Next::Bad(what) => break Some(what),
+        }
+    };
+    let end = frames.at;
+    let mut damaged = |what: String| {
+        damage.get_or_insert((end.offset, what));
+    };
+    match acknowledged {
+        // A journal has one before it has its name.
+        None => damaged("its watermark is missing".to_owned()),
+        Some(mark) if mark.length > end.offset => {
+            damaged(bad.clone().unwrap_or_else(|| format!("it ends before byte {}", mark.length)));
+        }
+        Some(_) if !is_met => damaged("its frames are others than those that were acknowledged".to_owned()),
+        Some(_) => {}
+    }
+    if let Some(what) = bad
+        && is_followed_by_frame(disk, path, end.offset, length)?
+    {
+        damaged(what);
+    }
+    Ok(Inspected { id, end, length, acknowledged, is_met, damage })
+}
+
+/// Calls `visit` for the payloads of all frames from `from` on, each with the frame's end, in the first
+/// `length` bytes of an open journal, which may be longer. Returns `false` without a call if no frame of this
+/// journal begins or ends at `from`.
+pub(super) fn replay<E: From<JournalError>>(
+    disk: &dyn Disk,
+    path: &Path,
+    from: Place,
     length: u64,
-    mut visit: impl FnMut(&[u8], u64) -> Result<(), E>,
+    mut visit: impl FnMut(&[u8], Place) -> Result<(), E>,
 ) -> Result<bool, E> {
-    let mut file = File::open(path).map_err(fault("open", path))?;
-    file.seek(SeekFrom::Start(HEADER_BYTES)).map_err(fault("seek in", path))?;
-    let mut frames = Frames { path, reader: BufReader::new(&file), offset: HEADER_BYTES, length };
+    let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
+    let id = read_header(&mut *file, path)?;
+    let damaged =
+        |offset, what| JournalError::Damaged { path: path.to_owned(), offset, what, lost: String::new() };
+    let id = id.map_err(|what| damaged(0, what))?;
+    let at = Place { offset: HEADER_BYTES, chain: id };
+    let mut frames = Frames { path, reader: BufReader::new(file), at, length };
     let mut reached = false;
     loop {
-        let begins = frames.offset;
-        if begins > from && !reached {
+        let begins = frames.at;
+        if begins.offset > from.offset && !reached {
             return Ok(false);
         }
         reached |= begins == from;
         match frames.next()? {
-            Next::Frame(payload) if begins >= from => visit(&payload, frames.offset)?,
+            Next::Frame(payload) if reached => visit(&payload, frames.at)?,
             Next::Frame(_) => {}
             Next::End => return Ok(reached),
             // Every frame was good when the journal was opened.
-            Next::Bad(what) => {
-                return Err(JournalError::Corrupt { path: path.to_owned(), offset: begins, what }.into());
-            }
+            Next::Bad(what) => return Err(damaged(begins.offset, what).into()),
         }
     }
+}
+
+/// Calls `visit` for the payload of every good frame that begins at or behind `from`, whatever lies between
+/// them, with the place where the frame begins and its end.
+pub(super) fn scattered_frames<E: From<JournalError>>(
+    disk: &dyn Disk,
+    path: &Path,
+    from: u64,
+    mut visit: impl FnMut(&[u8], Place, Place) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
+    file.seek(SeekFrom::Start(from)).map_err(fault("seek in", path))?;
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes).map_err(fault("read", path))?;
+    let mut at = 0;
+    while at < bytes.len() {
+        match frame_at(&bytes[at..], from + at as u64) {
+            Some((payload, begins, end)) => {
+                visit(payload, begins, end)?;
+                at = (end.offset - from) as usize;
+            }
+            None => at += 1,
+        }
+    }
+    Ok(())
+}
+
+/// Returns the payload, the beginning and the end of the frame that begins at `offset`, if it is good.
+fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], Place, Place)> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    let (previous, rest) = rest.split_first_chunk::<8>()?;
+    let (found, rest) = rest.split_first_chunk::<8>()?;
+    let length = u32::from_le_bytes(*length);
+    let payload = rest.get(..length as usize).filter(|_| length > 0 && length as usize <= MAX_FRAME_BYTES)?;
+    let begins = Place { offset, chain: u64::from_le_bytes(*previous) };
+    let chain = check(begins, length, payload);
+    let end = Place { offset: offset + FRAME_HEADER + u64::from(length), chain };
+    (chain == u64::from_le_bytes(*found)).then_some((payload, begins, end))
+}
+
+/// Writes the bytes of a file between two offsets again, and syncs the file.
+///
+/// After a failed sync the page cache still shows the bytes, but the system calls their pages clean, so that
+/// no later sync writes them. A frame behind the watermark may have met that in an earlier process.
+fn rewrite(file: &mut dyn DiskFile, from: u64, to: u64) -> io::Result<()> {
+    let mut bytes = Vec::new();
+    file.seek(SeekFrom::Start(from))?;
+    file.take(to.saturating_sub(from)).read_to_end(&mut bytes)?;
+    file.seek(SeekFrom::Start(from))?;
+    file.write_all(&bytes)?;
+    file.sync()
 }
 
 fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> JournalError {
@@ -183,50 +379,55 @@ fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> JournalError
     move |source| JournalError::Io { doing, path: path.clone(), source: Arc::new(source) }
 }
 
-fn checksum(offset: u64, length: u32, payload: &[u8]) -> u32 {
-    let crc = crc32c::crc32c(&offset.to_le_bytes());
-    crc32c::crc32c_append(crc32c::crc32c_append(crc, &length.to_le_bytes()), payload)
+/// Computes the check of a frame that begins at a place.
+fn check(begins: Place, length: u32, payload: &[u8]) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&begins.offset.to_le_bytes()).update(&length.to_le_bytes());
+    hasher.update(&begins.chain.to_le_bytes()).update(payload);
+    let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+    u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
-/// Writes an empty journal beside its place and moves it there, so that a journal always has a whole header.
-fn create(path: &Path) -> Result<(), JournalError> {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap_or_default();
-    let seed = [now.as_nanos().to_le_bytes().as_slice(), &std::process::id().to_le_bytes()].concat();
+fn random_id(path: &Path) -> Result<u64, JournalError> {
+    getrandom::u64().map_err(|e| fault("draw a random id for", path)(io::Error::other(e.to_string())))
+}
+
+fn header(id: u64) -> Vec<u8> {
     let mut header = MAGIC.to_vec();
     header.extend(VERSION.to_le_bytes());
-    header.extend(&blake3::hash(&seed).as_bytes()[..8]);
+    header.extend(id.to_le_bytes());
     header.extend(crc32c::crc32c(&header).to_le_bytes());
-    let beside = path.with_extension("new");
-    let mut file = File::create(&beside).map_err(fault("create", &beside))?;
-    file.write_all(&header).and_then(|()| file.sync_all()).map_err(fault("write", &beside))?;
-    std::fs::rename(&beside, path).map_err(fault("move into place", path))?;
-    if let Some(directory) = path.parent() {
-        File::open(directory).and_then(|d| d.sync_all()).map_err(fault("sync", directory))?;
-    }
+    header
+}
+
+/// Creates an empty journal with its watermark. The watermark comes first: a journal without one is damaged.
+fn create(disk: &dyn Disk, path: &Path) -> Result<(), JournalError> {
+    let journal = Journal::begin(disk, &path.with_extension("new"))?;
+    journal.install(disk, path, Numbers { next_job: 1, epoch: 0 })?;
     Ok(())
 }
 
-/// Checks the header; returns the journal's id.
-fn read_header(file: &mut File, path: &Path) -> Result<u64, JournalError> {
-    let bad = |what: &str| JournalError::BadHeader { path: path.to_owned(), what: what.to_owned() };
-    let mut header = [0; HEADER_BYTES as usize];
-    file.read_exact(&mut header).map_err(|e| match e.kind() {
-        ErrorKind::UnexpectedEof => bad("it is shorter than a header"),
-        _ => fault("read", path)(e),
-    })?;
-    let mut at = header.as_slice();
-    let mut field = |length| at.split_off(..length).unwrap_or_default().to_vec();
-    let (magic, version, id, crc) = (field(8), field(4), field(8), field(4));
-    if magic != MAGIC {
-        return Err(bad("it begins otherwise"));
+/// Reads the header; returns the journal's id, or the fault of the header.
+///
+/// # Errors
+/// [`JournalError::BadHeader`] when another version has written the file.
+fn read_header(file: &mut dyn DiskFile, path: &Path) -> Result<Result<u64, String>, JournalError> {
+    let mut bytes = Vec::new();
+    file.take(HEADER_BYTES).read_to_end(&mut bytes).map_err(fault("read", path))?;
+    let Some((magic, rest)) = bytes.split_first_chunk::<8>().filter(|_| bytes.len() as u64 == HEADER_BYTES)
+    else {
+        return Ok(Err("it is shorter than its header".to_owned()));
+    };
+    let field =
+        |at: usize| rest.get(at..).and_then(|rest| rest.first_chunk::<4>()).copied().unwrap_or_default();
+    if field(12) != crc32c::crc32c(&bytes[..20]).to_le_bytes() {
+        return Ok(Err("the checksum of its header does not match".to_owned()));
     }
-    if crc != crc32c::crc32c(&header[..20]).to_le_bytes() {
-        return Err(bad("its header's checksum does not match"));
+    if magic != MAGIC || field(0) != VERSION.to_le_bytes() {
+        let what = format!("expected version {VERSION}, found {}", u32::from_le_bytes(field(0)));
+        return Err(JournalError::BadHeader { path: path.to_owned(), what });
     }
-    if version != VERSION.to_le_bytes() {
-        return Err(bad("it is of another version"));
-    }
-    Ok(id.try_into().map(u64::from_le_bytes).unwrap_or_default())
+    Ok(Ok(rest.get(4..).and_then(|rest| rest.first_chunk::<8>()).copied().map_or(0, u64::from_le_bytes)))
 }
 
 enum Next {
@@ -235,37 +436,38 @@ enum Next {
     Bad(String),
 }
 
-/// Reads the frames in order.
+/// Reads the frames of one chain in order.
 struct Frames<'a> {
     path: &'a Path,
-    reader: BufReader<&'a File>,
-    offset: u64,
+    reader: BufReader<Box<dyn DiskFile>>,
+    at: Place,
     length: u64,
 }
 
 impl Frames<'_> {
     fn next(&mut self) -> Result<Next, JournalError> {
-        let left = self.length.saturating_sub(self.offset);
+        let left = self.length.saturating_sub(self.at.offset);
         if left == 0 {
             return Ok(Next::End);
         }
         if left < FRAME_HEADER {
-            return Ok(Next::Bad("too short for a frame".to_owned()));
+            return Ok(Next::Bad(format!("{left} bytes are too short for a frame")));
         }
-        let (mut length, mut crc) = ([0; 4], [0; 4]);
-        self.fill(&mut length)?;
-        self.fill(&mut crc)?;
-        let length = u32::from_le_bytes(length);
+        let mut frame = vec![0; FRAME_HEADER as usize];
+        self.fill(&mut frame)?;
+        let length = frame.first_chunk::<4>().copied().map_or(0, u32::from_le_bytes);
         if length == 0 || length as usize > MAX_FRAME_BYTES || u64::from(length) > left - FRAME_HEADER {
-            return Ok(Next::Bad(format!("a frame of {length} bytes where {left} are left")));
+            return Ok(Next::Bad(format!("a frame of {length} bytes where {left} bytes are left")));
         }
-        let mut payload = vec![0; length as usize];
-        self.fill(&mut payload)?;
-        if u32::from_le_bytes(crc) != checksum(self.offset, length, &payload) {
-            return Ok(Next::Bad("its checksum does not match".to_owned()));
+        frame.resize(FRAME_HEADER as usize + length as usize, 0);
+        self.fill(&mut frame[FRAME_HEADER as usize..])?;
+        match frame_at(&frame, self.at.offset) {
+            Some((_, begins, end)) if begins == self.at => self.at = end,
+            Some(_) => return Ok(Next::Bad("the frame does not continue the one before".to_owned())),
+            None => return Ok(Next::Bad("the check of the frame does not match".to_owned())),
         }
-        self.offset += FRAME_HEADER + u64::from(length);
-        Ok(Next::Frame(payload))
+        frame.drain(..FRAME_HEADER as usize);
+        Ok(Next::Frame(frame))
     }
 
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), JournalError> {
@@ -273,36 +475,18 @@ impl Frames<'_> {
     }
 }
 
-/// Distinguishes an unfinished write at the end, which is removed, from damage, which is an error.
-fn refuse_damage(
-    file: &mut File,
-    path: &Path,
-    bad: u64,
-    length: u64,
-    what: String,
-) -> Result<(), JournalError> {
-    let damage = || JournalError::Corrupt { path: path.to_owned(), offset: bad, what: what.clone() };
-    let left = length.saturating_sub(bad);
-    if left > FRAME_HEADER + MAX_FRAME_BYTES as u64 {
-        return Err(damage());
+/// Returns true if a good frame lies behind the bad one at `bad`: then the bad one was once whole.
+fn is_followed_by_frame(disk: &dyn Disk, path: &Path, bad: u64, length: u64) -> Result<bool, JournalError> {
+    // One unfinished write leaves no more than this.
+    if length.saturating_sub(bad) > FRAME_HEADER + MAX_FRAME_BYTES as u64 {
+        return Ok(true);
     }
-    let mut tail = Vec::new();
-    file.seek(SeekFrom::Start(bad)).map_err(fault("seek in", path))?;
-    file.take(left).read_to_end(&mut tail).map_err(fault("read", path))?;
-    for at in 1..tail.len() {
-        let Some((length, rest)) = tail[at..].split_first_chunk::<4>() else { break };
-        let Some((crc, rest)) = rest.split_first_chunk::<4>() else { break };
-        let length = u32::from_le_bytes(*length);
-        if length == 0 {
-            continue;
-        }
-        if let Some(payload) = rest.get(..length as usize)
-            && u32::from_le_bytes(*crc) == checksum(bad + at as u64, length, payload)
-        {
-            return Err(damage());
-        }
-    }
-    Ok(())
+    let mut found = false;
+    scattered_frames(disk, path, bad + 1, |_, _, _| {
+        found = true;
+        Ok::<_, JournalError>(())
+    })?;
+    Ok(found)
 }
 
 #[cfg(test)]

@@ -1,11 +1,21 @@
-//! The journal against truncation at every byte, every byte flipped, and a disk that fills up.
+//! The journal against truncation at every byte, every bit flipped, zeroes, old content, and a disk that
+//! fails.
 
+use super::super::disk::SystemDisk;
+use super::super::disk::simulated::{Faults, SimulatedDisk};
 use super::*;
 
+const NUMBERS: Numbers = Numbers { next_job: 7, epoch: 3 };
+
+fn open(path: &Path) -> Result<Journal, JournalError> {
+    Journal::open(&SystemDisk, path, None)
+}
+
 fn payloads(path: &Path) -> Result<Vec<Vec<u8>>, JournalError> {
-    let journal = Journal::open(path)?;
+    let journal = open(path)?;
     let mut all = Vec::new();
-    let reached = replay(path, HEADER_BYTES, journal.end(), |payload, _| {
+    let start = Place { offset: HEADER_BYTES, chain: journal.id() };
+    let reached = replay(&SystemDisk, path, start, journal.end().offset, |payload, _| {
         all.push(payload.to_vec());
         Ok::<_, JournalError>(())
     })?;
@@ -17,157 +27,274 @@ fn sample() -> Vec<Vec<u8>> {
     (1..8_u8).map(|i| (0..i * 5).map(|j| j.wrapping_mul(i)).collect()).collect()
 }
 
-fn written(path: &Path) -> Vec<u8> {
-    let mut journal = Journal::open(path).unwrap();
+/// Writes a journal of the samples. Returns its bytes, and the bytes of its watermark before the last frame.
+fn written(path: &Path) -> (Vec<u8>, Vec<u8>) {
+    let mut journal = open(path).unwrap();
+    let mut before = Vec::new();
     for payload in sample() {
-        journal.append(&payload).unwrap();
+        before = std::fs::read(watermark::path_of(path)).unwrap();
+        journal.append(&payload, NUMBERS).unwrap();
     }
     drop(journal);
-    std::fs::read(path).unwrap()
+    (std::fs::read(path).unwrap(), before)
+}
+
+fn frame_bytes(payload: &[u8]) -> usize {
+    payload.len() + FRAME_HEADER as usize
 }
 
 #[test]
-fn cut_anywhere_it_is_a_prefix_or_refused() {
+fn every_cut_of_acknowledged_journal_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
-    let whole = written(&path);
+    let (whole, _) = written(&path);
     for length in 0..whole.len() {
         std::fs::write(&path, &whole[..length]).unwrap();
-        match payloads(&path) {
-            Ok(found) => {
-                assert!(length >= HEADER_BYTES as usize);
-                assert_eq!(found, sample()[..found.len()]);
-                // Only the truncated frame is gone, and a frame can be appended to the rest.
-                let kept = HEADER_BYTES as usize + found.iter().map(|p| p.len() + 8).sum::<usize>();
-                assert!(kept <= length && length < kept + 8 + sample()[found.len()].len());
-                Journal::open(&path).unwrap().append(b"more").unwrap();
-                assert_eq!(payloads(&path).unwrap().last().unwrap(), b"more");
-            }
-            Err(JournalError::BadHeader { .. }) => assert!(length < HEADER_BYTES as usize),
-            Err(other) => panic!("{other}"),
-        }
+        assert!(matches!(payloads(&path), Err(JournalError::Damaged { .. })), "{length}");
+        assert_eq!(std::fs::read(&path).unwrap(), whole[..length], "a refused journal must stay as it is");
+    }
+    std::fs::remove_file(&path).unwrap();
+    assert!(matches!(payloads(&path), Err(JournalError::Missing { .. })));
+    std::fs::write(&path, &whole).unwrap();
+    assert_eq!(payloads(&path).unwrap(), sample());
+}
+
+#[test]
+fn torn_frame_behind_watermark_is_cut_off() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("journal");
+    let (whole, mark) = written(&path);
+    let last = whole.len() - frame_bytes(sample().last().unwrap());
+    for length in last..=whole.len() {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        // A crash before the acknowledgement leaves the watermark before the frame.
+        std::fs::write(watermark::path_of(&path), &mark).unwrap();
+        let found = payloads(&path).unwrap();
+        let count = if length == whole.len() { sample().len() } else { sample().len() - 1 };
+        assert_eq!(found, sample()[..count]);
+        open(&path).unwrap().append(b"more", NUMBERS).unwrap();
+        assert_eq!(payloads(&path).unwrap().last().unwrap(), b"more");
     }
 }
 
 #[test]
-fn any_bit_flipped_is_refused_unless_in_the_last_frame() {
+fn every_flip_and_zeroed_end_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
-    let whole = written(&path);
-    let last = whole.len() - sample().last().unwrap().len() - 8;
+    let (whole, _) = written(&path);
+    let refused = |bytes: &[u8], at: usize| {
+        if bytes == whole {
+            return;
+        }
+        std::fs::write(&path, bytes).unwrap();
+        match payloads(&path) {
+            Err(JournalError::Damaged { offset, .. }) => assert!(offset <= at as u64),
+            other => panic!("damage at {at} went unseen: {other:?}"),
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), bytes, "a refused journal must stay as it is");
+    };
     for at in 0..whole.len() {
         for bit in 0..8 {
             let mut flipped = whole.clone();
             flipped[at] ^= 1 << bit;
-            std::fs::write(&path, &flipped).unwrap();
-            match payloads(&path) {
-                Ok(found) => {
-                    assert!(at >= last, "a flip at {at} went unseen");
-                    assert_eq!(found, sample()[..sample().len() - 1]);
-                }
-                Err(JournalError::BadHeader { .. }) => assert!(at < HEADER_BYTES as usize),
-                Err(JournalError::Corrupt { offset, .. }) => {
-                    assert!(at < last && offset <= at as u64 && offset >= HEADER_BYTES);
-                    assert_eq!(
-                        std::fs::read(&path).unwrap(),
-                        flipped,
-                        "a refused journal must stay as it is"
-                    );
-                }
-                Err(other) => panic!("{other}"),
-            }
+            refused(&flipped, at);
         }
+        let mut zeroed = whole.clone();
+        zeroed[at] = 0;
+        refused(&zeroed, at);
+        zeroed[at..].fill(0);
+        refused(&zeroed, at);
     }
+}
+
+#[test]
+fn frame_is_bound_to_its_place_and_history() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("journal");
+    let mut journal = open(&path).unwrap();
+    for payload in [b"one!", b"two!", b"six!"] {
+        journal.append(payload, NUMBERS).unwrap();
+    }
+    drop(journal);
+    let whole = std::fs::read(&path).unwrap();
+    let frame = frame_bytes(b"one!");
+    let (first, second) = (HEADER_BYTES as usize, HEADER_BYTES as usize + frame);
+    // A frame of the same length in another place: the disk wrote it to a wrong address.
+    let mut moved = whole.clone();
+    moved.copy_within(first..first + frame, second);
+    std::fs::write(&path, &moved).unwrap();
+    assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
+    // The same frame with its predecessor corrected: only its offset is another one.
+    let previous = whole[first + 12..first + 20].to_vec();
+    moved[second + 4..second + 12].copy_from_slice(&previous);
+    std::fs::write(&path, &moved).unwrap();
+    assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
+    let (_, begins, _) = frame_at(&whole[first..], first as u64).unwrap();
+    assert_eq!(begins.offset, first as u64);
+    assert!(frame_at(&whole[first..], second as u64).is_none(), "the check must cover the offset");
+    // Another history of the same length, which the watermark does not record.
+    let other = directory.path().join("other");
+    let mut journal = open(&other).unwrap();
+    for payload in [b"one?", b"two?", b"six?"] {
+        journal.append(payload, NUMBERS).unwrap();
+    }
+    std::fs::copy(&other, &path).unwrap();
+    assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
+}
+
+#[test]
+fn journal_without_watermark_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("journal");
+    let (whole, before) = written(&path);
+    let mark = watermark::path_of(&path);
+    let good = std::fs::read(&mark).unwrap();
+    for bad in [Vec::new(), vec![0; good.len()]] {
+        std::fs::write(&mark, bad).unwrap();
+        assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
+    }
+    std::fs::remove_file(&mark).unwrap();
+    assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
+    assert!(!mark.exists() && std::fs::read(&path).unwrap() == whole);
+    // The view can stand in for it.
+    std::fs::write(&mark, &before).unwrap();
+    let end = open(&path).unwrap().end();
+    std::fs::remove_file(&mark).unwrap();
+    let id = u64::from_le_bytes(whole[12..20].try_into().unwrap());
+    assert!(Journal::open(&SystemDisk, &path, Some(Watermark::new(id, end, NUMBERS))).is_ok());
+}
+
+#[test]
+fn view_ahead_of_journal_is_damage() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("journal");
+    written(&path);
+    let journal = open(&path).unwrap();
+    let end = Place { offset: journal.end().offset + 30, chain: 1 };
+    let ahead = Watermark::new(journal.id(), end, NUMBERS);
+    assert!(matches!(Journal::open(&SystemDisk, &path, Some(ahead)), Err(JournalError::Damaged { .. })));
+    // A view of another journal does not count.
+    let foreign = Watermark { journal: !journal.id(), ..ahead };
+    assert!(Journal::open(&SystemDisk, &path, Some(foreign)).is_ok());
 }
 
 #[test]
 fn replay_begins_at_frames_only() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
-    let whole = written(&path);
-    let journal = Journal::open(&path).unwrap();
-    let mut ends = vec![HEADER_BYTES];
-    replay(&path, HEADER_BYTES, journal.end(), |_, end| {
+    let (whole, _) = written(&path);
+    let journal = open(&path).unwrap();
+    let mut ends = vec![Place { offset: HEADER_BYTES, chain: journal.id() }];
+    replay(&SystemDisk, &path, ends[0], journal.end().offset, |_, end| {
         ends.push(end);
         Ok::<_, JournalError>(())
     })
     .unwrap();
-    for from in 0..whole.len() as u64 + 10 {
-        let mut seen = 0;
-        let reached = replay(&path, from, journal.end(), |_, _| {
-            seen += 1;
-            Ok::<_, JournalError>(())
-        })
-        .unwrap();
-        match ends.iter().position(|&end| end == from) {
-            Some(index) => assert_eq!((reached, seen), (true, sample().len() - index)),
-            None => assert_eq!((reached, seen), (false, 0)),
+    for offset in 0..whole.len() as u64 + 10 {
+        let known = ends.iter().position(|end| end.offset == offset);
+        for wrong in [0, 1] {
+            let chain = known.map_or(0, |at| ends[at].chain) ^ wrong;
+            let mut seen = 0;
+            let reached =
+                replay(&SystemDisk, &path, Place { offset, chain }, journal.end().offset, |_, _| {
+                    seen += 1;
+                    Ok::<_, JournalError>(())
+                })
+                .unwrap();
+            match known.filter(|_| wrong == 0) {
+                Some(index) => assert_eq!((reached, seen), (true, sample().len() - index)),
+                None => assert_eq!((reached, seen), (false, 0)),
+            }
         }
     }
 }
 
-/// A file on a disk of a given size, whose sync fails on demand.
-struct SmallDisk {
-    file: File,
-    size: u64,
-    sync_fails: bool,
+/// Creates a journal of the samples on a simulated disk.
+fn on_simulated_disk() -> (SimulatedDisk, PathBuf, Journal) {
+    let disk = SimulatedDisk::new(1);
+    let path = PathBuf::from("/state/journal");
+    disk::create_folder(&disk, Path::new("/state")).unwrap();
+    let mut journal = Journal::open(&disk, &path, None).unwrap();
+    for payload in sample() {
+        journal.append(&payload, NUMBERS).unwrap();
+    }
+    (disk, path, journal)
 }
 
-impl LogFile for SmallDisk {
-    fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
-        let room = (self.size - self.file.metadata()?.len()) as usize;
-        if room < bytes.len() {
-            self.file.write_all(&bytes[..room])?;
-            return Err(ErrorKind::StorageFull.into());
-        }
-        self.file.write_all(bytes)
-    }
-    fn sync(&mut self) -> io::Result<()> {
-        if self.sync_fails { Err(io::Error::other("lost")) } else { self.file.sync_data() }
-    }
-    fn truncate(&mut self, length: u64) -> io::Result<()> {
-        LogFile::truncate(&mut self.file, length)
-    }
-}
-
-fn on_small_disk(path: &Path, room: u64, sync_fails: bool) -> Journal {
-    let mut journal = Journal::open(path).unwrap();
-    let file = OpenOptions::new().append(true).open(path).unwrap();
-    journal.file = Box::new(SmallDisk { file, size: journal.end + room, sync_fails });
-    journal
+fn count(disk: &SimulatedDisk, path: &Path) -> usize {
+    let journal = Journal::open(disk, path, None).unwrap();
+    let mut count = 0;
+    let start = Place { offset: HEADER_BYTES, chain: journal.id() };
+    replay(disk, path, start, journal.end().offset, |_, _| {
+        count += 1;
+        Ok::<_, JournalError>(())
+    })
+    .unwrap();
+    count
 }
 
 #[test]
-fn a_full_disk_refuses_and_leaves_the_journal_as_it_was() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("journal");
-    let whole = written(&path);
-    let mut journal = on_small_disk(&path, 20, false);
-    assert!(matches!(journal.append(&[7; 13]), Err(JournalError::NoSpace { .. })));
-    assert_eq!(std::fs::read(&path).unwrap(), whole);
+fn append_on_full_disk_leaves_journal_unchanged() {
+    let (disk, path, mut journal) = on_simulated_disk();
+    disk.set_room(Some(32));
+    assert!(matches!(journal.append(&[7; 13], NUMBERS), Err(JournalError::NoSpace { .. })));
     // Payloads that still fit are accepted.
-    journal.append(&[7; 12]).unwrap();
-    assert_eq!(payloads(&path).unwrap().last().unwrap(), &[7; 12]);
+    disk.set_room(Some(32));
+    journal.append(&[7; 12], NUMBERS).unwrap();
+    drop(journal);
+    assert_eq!(count(&disk, &path), sample().len() + 1);
 }
 
 #[test]
-fn after_a_failed_sync_nothing_is_accepted() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("journal");
-    written(&path);
-    let mut journal = on_small_disk(&path, 1000, true);
-    assert!(matches!(journal.append(b"x"), Err(JournalError::Unusable { .. })));
-    journal.file = Box::new(File::create(directory.path().join("other")).unwrap());
-    assert!(matches!(journal.append(b"x"), Err(JournalError::Unusable { .. })));
+fn failed_sync_ends_journal() {
+    let (disk, _, mut journal) = on_simulated_disk();
+    disk.set_faults(Faults { sync: 1, ..Faults::default() });
+    assert!(matches!(journal.append(b"x", NUMBERS), Err(JournalError::Unusable { .. })));
+    disk.set_faults(Faults::default());
+    assert!(matches!(journal.append(b"x", NUMBERS), Err(JournalError::Unusable { .. })));
 }
 
 #[test]
-fn a_longer_frame_than_may_be_read_is_not_written() {
+fn journal_opens_after_failed_write_of_watermark() {
+    for seed in 0..3000 {
+        let disk = SimulatedDisk::new(seed);
+        let path = PathBuf::from("/state/journal");
+        disk::create_folder(&disk, Path::new("/state")).unwrap();
+        let mut journal = Journal::open(&disk, &path, None).unwrap();
+        journal.append(b"one", NUMBERS).unwrap();
+        // The write fails after none, some or all of its bytes were written.
+        disk.set_faults(Faults { write: 2, ..Faults::default() });
+        let appended = journal.append(b"two", NUMBERS).is_ok();
+        disk.set_faults(Faults::default());
+        drop(journal);
+        assert!(count(&disk, &path) > usize::from(appended), "seed {seed}");
+    }
+}
+
+#[test]
+fn appended_frame_survives_power_failure() {
+    for seed in 0..40 {
+        let disk = SimulatedDisk::new(seed);
+        let path = PathBuf::from("/state/journal");
+        disk::create_folder(&disk, Path::new("/state")).unwrap();
+        let mut journal = Journal::open(&disk, &path, None).unwrap();
+        for payload in sample() {
+            journal.append(&payload, NUMBERS).unwrap();
+        }
+        disk.power_off();
+        disk.power_on();
+        assert_eq!(count(&disk, &path), sample().len(), "seed {seed}");
+    }
+}
+
+#[test]
+fn too_long_frame_is_not_written() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("journal");
-    let whole = written(&path);
-    let mut journal = Journal::open(&path).unwrap();
-    assert!(matches!(journal.append(&vec![0; MAX_FRAME_BYTES + 1]), Err(JournalError::Write { .. })));
+    let (whole, _) = written(&path);
+    let mut journal = open(&path).unwrap();
+    let long = vec![0; MAX_FRAME_BYTES + 1];
+    assert!(matches!(journal.append(&long, NUMBERS), Err(JournalError::Write { .. })));
     drop(journal);
     assert_eq!(std::fs::read(&path).unwrap(), whole);
 }

@@ -12,6 +12,8 @@ pub const MAX_IDENTIFIER_BYTES: usize = 128;
 pub const MAX_NAME_BYTES: usize = 128;
 /// Longest worker name, in bytes.
 pub const MAX_WORKER_BYTES: usize = 64;
+/// Longest worker name with the worker's identity, in bytes.
+pub const MAX_SIGNATURE_BYTES: usize = MAX_WORKER_BYTES + 17;
 /// Reasons are cut to this many bytes.
 pub const MAX_REASON_BYTES: usize = 200;
 /// Longest opaque job specification, in bytes.

@@ -9,15 +9,18 @@
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use super::disk::Disk;
 use super::error::StoreError;
-use super::journal::{self, HEADER_BYTES, Journal};
-use super::rules::{self, Event};
-use super::table::{Bytes, Changes, Over, Table, decode, encode};
+use super::journal::{self, HEADER_BYTES, Journal, Place};
+use super::rules;
+use super::salvage::ViewEntries;
+use super::table::{Bytes, Changes, Over, Table, View, decode, encode};
+use super::watermark::Watermark;
 
 /// While rebuilding, sled is changed after this many keys.
 const REBUILD_KEYS: usize = 4096;
@@ -32,8 +35,21 @@ struct Applied {
     journal: u64,
     /// The end of the last frame applied.
     offset: u64,
+    /// The running checksum of the journal there.
+    chain: u64,
     /// Sum of the hashes of all other entries: a lost, stale or damaged one is found at the next start.
     sum: u64,
+}
+
+impl Applied {
+    /// Returns the state before the first frame of a journal.
+    fn nothing_of(journal: u64) -> Self {
+        Self { journal, offset: HEADER_BYTES, chain: journal, sum: 0 }
+    }
+
+    fn place(&self) -> Place {
+        Place { offset: self.offset, chain: self.chain }
+    }
 }
 
 /// The state as queries see it: sled or what has taken its place, and changes that it has not accepted yet.
@@ -41,6 +57,7 @@ pub(super) struct Live {
     db: Entries,
     /// The entries once sled cannot be read; the next change puts them in its place.
     anew: OnceLock<BTreeMap<Bytes, Bytes>>,
+    disk: Arc<dyn Disk>,
     /// The journal.
     path: PathBuf,
     applied: Applied,
@@ -110,7 +127,7 @@ impl Table for sled::Db {
 
 impl Live {
     /// Opens sled, the view of a journal, and checks the sum of its entries' hashes.
-    pub(super) fn open(path: &Path, journal: &Journal) -> Result<Self, StoreError> {
+    pub(super) fn open(path: &Path, disk: Arc<dyn Disk>, journal: &Path) -> Result<Self, StoreError> {
         let mut tries = 0;
         let db = loop {
             match guarded(|| {
@@ -127,9 +144,9 @@ impl Live {
         };
         let applied = match guarded(|| sled::Tree::get(&db, APPLIED))? {
             Some(value) => decode(APPLIED, &value)?,
-            None => Applied { journal: 0, offset: 0, sum: 0 },
+            None => Applied::nothing_of(0),
         };
-        let live = Self::of(Entries::Sled(db), applied, journal.path());
+        let live = Self::of(Entries::Sled(db), applied, disk, journal);
         let sum =
             live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| sum.wrapping_add(hash(key, value)));
         if sum != applied.sum {
@@ -138,21 +155,46 @@ impl Live {
         Ok(live)
     }
 
-    fn of(db: Entries, applied: Applied, path: &Path) -> Self {
-        Self { db, anew: OnceLock::new(), path: path.to_owned(), applied, waiting: Changes::new() }
+    /// Begins an empty view in memory, which lasts until the end of the process.
+    #[cfg(test)]
+    pub(super) fn in_memory(disk: Arc<dyn Disk>, journal: &Path) -> Self {
+        Self::of(Entries::Memory(BTreeMap::new()), Applied::nothing_of(0), disk, journal)
+    }
+
+    fn of(db: Entries, applied: Applied, disk: Arc<dyn Disk>, path: &Path) -> Self {
+        let waiting = Changes::new();
+        Self { db, anew: OnceLock::new(), disk, path: path.to_owned(), applied, waiting }
+    }
+
+    /// Returns the acknowledged part of the journal that the view was made from; `None` for a view of no
+    /// frame.
+    pub(super) fn watermark(&self) -> Result<Option<Watermark>, StoreError> {
+        let Applied { journal, offset: length, chain, .. } = self.applied;
+        if length <= HEADER_BYTES {
+            return Ok(None);
+        }
+        let view = View(self);
+        let (next_job, epoch) = (view.next_job()?.0, view.epoch()?);
+        Ok(Some(Watermark { journal, length, chain, next_job, epoch }))
+    }
+
+    /// Returns the entries with the part of the journal that they stand for; `None` for a view of no frame.
+    pub(super) fn entries(&self) -> Result<Option<ViewEntries>, StoreError> {
+        let Some(mark) = self.watermark()? else { return Ok(None) };
+        Ok(Some((mark, self.scan(&[])?.into_iter().collect())))
     }
 
     /// Applies the frames of the journal that the view lacks.
     pub(super) fn caught_up(mut self, journal: &Journal) -> Result<Self, StoreError> {
-        if self.applied == (Applied { journal: 0, offset: 0, sum: 0 }) {
-            self.applied = Applied { journal: journal.id(), offset: HEADER_BYTES, sum: 0 };
+        if self.applied == Applied::nothing_of(0) {
+            self.applied = Applied::nothing_of(journal.id());
         }
         if self.applied.journal != journal.id() {
             return Err(StoreError::View { what: "it was made from another journal".to_owned() });
         }
-        if !self.replay(journal.end())? {
-            let what =
-                format!("it stands for {} bytes of a journal of {}", self.applied.offset, journal.end());
+        if !self.replay(journal.end().offset)? {
+            let (has, end) = (self.applied.offset, journal.end().offset);
+            let what = format!("it stands for {has} bytes of a journal of {end}");
             return Err(StoreError::View { what });
         }
         Ok(self)
@@ -161,10 +203,11 @@ impl Live {
     /// Applies the frames up to `length` bytes of the journal. Returns `false`, with nothing applied, when
     /// none begins or ends where the view ends.
     fn replay(&mut self, length: u64) -> Result<bool, StoreError> {
-        let (path, mut end) = (self.path.clone(), self.applied.offset);
-        let reached = journal::replay(&path, self.applied.offset, length, |payload, frame_end| {
-            let events: Vec<Event> = serde_json::from_slice(payload)
-                .map_err(|e| StoreError::Unreadable { before: frame_end, what: e.to_string() })?;
+        let (disk, path) = (Arc::clone(&self.disk), self.path.clone());
+        let from = self.applied.place();
+        let mut end = from;
+        let reached = journal::replay(&*disk, &path, from, length, |payload, frame_end| {
+            let events = rules::events(payload, frame_end.offset)?;
             let mut staged = std::mem::take(&mut self.waiting);
             for event in &events {
                 rules::stage(event, &self.db, &mut staged)?;
@@ -193,8 +236,9 @@ impl Live {
 
     /// The entries that the view stands for, from the journal: sled cannot be read.
     fn read_anew(&self, what: &str) -> Result<&BTreeMap<Bytes, Bytes>, StoreError> {
-        let applied = Applied { offset: HEADER_BYTES, sum: 0, ..self.applied };
-        let mut anew = Self::of(Entries::Memory(BTreeMap::new()), applied, &self.path);
+        let applied = Applied::nothing_of(self.applied.journal);
+        let (disk, memory) = (Arc::clone(&self.disk), Entries::Memory(BTreeMap::new()));
+        let mut anew = Self::of(memory, applied, disk, &self.path);
         // What follows may not be durable yet.
         let replayed = anew.replay(self.applied.offset).inspect_err(
             |unread| tracing::error!(%what, %unread, "neither the store's view nor its journal can be read"),
@@ -213,7 +257,7 @@ impl Live {
 
     /// Applies the changes of a frame of the journal that ends at `end`. When sled refuses them, or could not
     /// be read before, the entries go on in memory.
-    pub(super) fn take(&mut self, changes: Changes, end: u64) {
+    pub(super) fn take(&mut self, changes: Changes, end: Place) {
         if let Some(entries) = self.anew.take() {
             self.go_on_with(entries);
         }
@@ -227,7 +271,7 @@ impl Live {
                      start the view is kept in memory"
                 );
                 self.go_on_with(entries.into_iter().collect());
-                self.applied.offset = end;
+                (self.applied.offset, self.applied.chain) = (end.offset, end.chain);
                 self.waiting.clear();
             }
             // The change stays where queries look, and is tried again with the next one.
@@ -278,11 +322,11 @@ impl Live {
     }
 
     /// Gives the waiting changes to sled, in one batch with the offset that the view then contains.
-    fn apply(&mut self, end: u64) -> Result<(), StoreError> {
-        if self.waiting.is_empty() && self.applied.offset == end {
+    fn apply(&mut self, end: Place) -> Result<(), StoreError> {
+        if self.waiting.is_empty() && self.applied.place() == end {
             return Ok(());
         }
-        let mut applied = Applied { offset: end, ..self.applied };
+        let mut applied = Applied { offset: end.offset, chain: end.chain, ..self.applied };
         let mut batch = sled::Batch::default();
         for (key, value) in &self.waiting {
             if let Some(old) = self.db.get(key)? {

@@ -6,6 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::error::StoreError;
+use super::private::create_private;
 
 /// A directory of which this process is the only user, until this is dropped.
 #[derive(Debug)]
@@ -17,7 +18,7 @@ impl OwnDirectory {
     /// # Errors
     /// [`StoreError::InUse`] when another process has it, [`StoreError::Io`].
     pub fn take(directory: &Path) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(directory).map_err(fault("create", directory))?;
+        create_private(directory).map_err(fault("create", directory))?;
         lock(&directory.join("lock")).map(Self)
     }
 }
@@ -31,21 +32,37 @@ pub(super) fn lock(path: &Path) -> Result<File, StoreError> {
         .truncate(false)
         .open(path)
         .map_err(fault("open", path))?;
-    match file.try_lock() {
-        Ok(()) => {}
+    held(file.try_lock(), &mut file, path)?;
+    file.set_len(0)
+        .and_then(|()| file.write_all(std::process::id().to_string().as_bytes()))
+        .map_err(fault("write", path))?;
+    Ok(file)
+}
+
+/// Locks the file at `path` without changing it. Returns `None` if there is no such file.
+pub(super) fn probe(path: &Path) -> Result<Option<File>, StoreError> {
+    let mut file = match File::open(path) {
+        Ok(file) => file,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(fault("open", path)(e)),
+    };
+    held(file.try_lock(), &mut file, path)?;
+    Ok(Some(file))
+}
+
+/// Returns the error of a lock that another process holds.
+fn held(taken: Result<(), TryLockError>, file: &mut File, path: &Path) -> Result<(), StoreError> {
+    match taken {
+        Ok(()) => Ok(()),
         Err(TryLockError::WouldBlock) => {
             let mut pid = String::new();
             // Only for the message; its holder may not have written it yet.
             let known = file.read_to_string(&mut pid).is_ok() && !pid.trim().is_empty();
             let pid = if known { pid.trim().to_owned() } else { "not known".to_owned() };
-            return Err(StoreError::InUse { path: path.to_owned(), pid });
+            Err(StoreError::InUse { path: path.to_owned(), pid })
         }
-        Err(TryLockError::Error(source)) => return Err(fault("lock", path)(source)),
+        Err(TryLockError::Error(source)) => Err(fault("lock", path)(source)),
     }
-    file.set_len(0)
-        .and_then(|()| file.write_all(std::process::id().to_string().as_bytes()))
-        .map_err(fault("write", path))?;
-    Ok(file)
 }
 
 /// What failed while `doing` something to a path of the store.

@@ -20,6 +20,11 @@ impl MemoryStore {
     pub fn new() -> Self {
         Self::default()
     }
+
+    /// Creates a store of these entries.
+    pub(super) fn with(entries: BTreeMap<Bytes, Bytes>) -> Self {
+        Self { table: Mutex::new(entries) }
+    }
 }
 
 impl Engine for MemoryStore {

@@ -13,26 +13,38 @@ mod blobs;
 mod checked;
 mod commands;
 mod compaction;
+mod disk;
 mod engine;
 mod entries;
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
+mod identity;
 mod journal;
 mod limits;
 mod live;
 mod lock;
 mod memory;
 mod outcomes;
+mod place;
 mod postgres;
+mod private;
 mod records;
 mod rules;
+mod salvage;
 mod sled_store;
 mod table;
 mod upkeep;
+mod watermark;
 
 #[cfg(test)]
 mod conformance;
 #[cfg(test)]
 mod conformance_trust;
+#[cfg(test)]
+pub(crate) mod failing;
+#[cfg(test)]
+mod power_failures;
 
 pub use api::Store;
 pub use blobs::{
@@ -41,18 +53,21 @@ pub use blobs::{
 };
 pub use entries::Entry;
 pub use error::{JournalError, StoreError};
+pub use identity::{StoreId, StoreIdentity};
 pub use limits::{
     MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
-    MAX_REASON_BYTES, MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
+    MAX_REASON_BYTES, MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
 };
 pub use lock::OwnDirectory;
 pub use memory::MemoryStore;
 pub use outcomes::{MAX_OUTCOME_BYTES, Outcomes};
 pub use postgres::{DatabaseAddress, Leader, PostgresStore, Replica, Role};
 pub use records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
-    TileCheck, TileFailure, TileRecord, TileResult, TileState, TileStats, owned_key, owned_request,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, NextSpan, QuarantineRecord, RetentionStamp,
+    SceneRecord, Submitted, TileCheck, TileFailure, TileRecord, TileResult, TileState, TileStats,
+    TrustedSpan, owned_key, owned_request,
 };
-pub use sled_store::{Compacted, SledStore};
+pub use salvage::Damage;
+pub use sled_store::{Compacted, Repaired, SledStore, StoreInspection};
 
 pub use crate::ids::Digest;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{Read, Seek as _, SeekFrom, Take, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -53,23 +53,46 @@ impl Outcomes {
         count
     }
 
-    /// Keeps the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
-    /// behind it. Returns whether it is there now; a full disk is no error.
+    /// Stores the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
+    /// behind it. Returns true if the outcome is stored now; a full disk returns false.
     pub fn push(&self, tile: Tile, phase: u32, bytes: &[u8]) -> bool {
-        if phase < self.count(tile) && self.get(tile, phase).as_deref() == Some(bytes) {
+        self.push_from(tile, phase, (bytes.len() as u64, blake3::hash(bytes)), &mut &*bytes)
+    }
+
+    /// Stores an outcome as [`Outcomes::push`] does, from a reader of bytes with this length and this hash.
+    pub fn push_from(&self, tile: Tile, phase: u32, of: (u64, blake3::Hash), bytes: &mut dyn Read) -> bool {
+        if phase < self.count(tile) && self.is_stored(tile, phase, of) {
             return true;
         }
         let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
         let file = self.file(tile);
-        let kept = append(&mut lock(&file), tile, (directory, &path), phase, bytes);
+        let kept = append(&mut lock(&file), tile, (directory, &path), phase, of, bytes);
         if !kept {
             self.let_go(tile, &file);
         }
         kept
     }
 
-    /// An outcome of a tile; `None` when it is not there or damaged.
-    pub fn get(&self, tile: Tile, phase: u32) -> Option<Vec<u8>> {
+    /// Opens an outcome of a tile, whose hash was checked; `None` when it is not there or damaged.
+    pub fn open(&self, tile: Tile, phase: u32) -> Option<(u64, Take<File>)> {
+        let mut file = self.at(tile, phase)?;
+        let (length, hash) = header(&mut file)?;
+        let start = file.stream_position().ok()?;
+        if !is_whole(&mut file, length, hash) {
+            return None;
+        }
+        file.seek(SeekFrom::Start(start)).ok()?;
+        Some((length, file.take(length)))
+    }
+
+    /// Returns true if a stored outcome has this length and this hash.
+    fn is_stored(&self, tile: Tile, phase: u32, of: (u64, blake3::Hash)) -> bool {
+        let Some(mut file) = self.at(tile, phase) else { return false };
+        header(&mut file) == Some(of) && is_whole(&mut file, of.0, of.1)
+    }
+
+    /// Opens the file of a tile where the frame of a phase begins.
+    fn at(&self, tile: Tile, phase: u32) -> Option<File> {
         if phase >= self.count(tile) {
             return None;
         }
@@ -82,7 +105,7 @@ impl Outcomes {
         };
         let mut file = File::open(self.path(tile)?).ok()?;
         file.seek(SeekFrom::Start(start)).ok()?;
-        frame(&mut file)
+        Some(file)
     }
 
     /// Forgets the outcomes of a tile.
@@ -134,9 +157,16 @@ impl Outcomes {
 }
 
 /// Puts an outcome into the file of a tile, behind that of the phase before; returns whether it is there now.
-fn append(ends: &mut Ends, tile: Tile, (directory, path): (&Path, &Path), phase: u32, bytes: &[u8]) -> bool {
+fn append(
+    ends: &mut Ends,
+    tile: Tile,
+    (directory, path): (&Path, &Path),
+    phase: u32,
+    (length, hash): (u64, blake3::Hash),
+    bytes: &mut dyn Read,
+) -> bool {
     let ends = read(ends, path);
-    if phase as usize > ends.len() || bytes.len() as u64 > MAX_OUTCOME_BYTES {
+    if phase as usize > ends.len() || length > MAX_OUTCOME_BYTES {
         return false;
     }
     ends.truncate(phase as usize);
@@ -146,14 +176,18 @@ fn append(ends: &mut Ends, tile: Tile, (directory, path): (&Path, &Path), phase:
         // Behind the last whole frame there may be a part of one.
         file.set_len(start)?;
         file.seek(SeekFrom::Start(start))?;
-        file.write_all(&(bytes.len() as u64).to_le_bytes())?;
-        file.write_all(blake3::hash(bytes).as_bytes())?;
-        file.write_all(bytes)
+        file.write_all(&length.to_le_bytes())?;
+        file.write_all(hash.as_bytes())?;
+        std::io::copy(&mut bytes.take(length), &mut file)
     });
     match written {
-        Ok(()) => {
-            ends.push(start + HEADER + bytes.len() as u64);
+        Ok(written) if written == length => {
+            ends.push(start + HEADER + length);
             true
+        }
+        Ok(written) => {
+            tracing::warn!("phase {phase} of tile {} of job {} ended after {written} bytes", tile.1, tile.0);
+            false
         }
         Err(e) => {
             tracing::warn!("phase {phase} of tile {} of job {} is not kept: {e}", tile.1, tile.0);
@@ -172,25 +206,29 @@ fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The bytes of the frame at the place of a file.
-fn frame(file: &mut File) -> Option<Vec<u8>> {
+/// Reads the length and the hash of the frame that begins at the position of a file.
+fn header(file: &mut File) -> Option<(u64, blake3::Hash)> {
     let (mut length, mut hash) = ([0; 8], [0; 32]);
     file.read_exact(&mut length).ok()?;
     file.read_exact(&mut hash).ok()?;
     let length = u64::from_le_bytes(length);
-    if length > MAX_OUTCOME_BYTES {
-        return None;
-    }
-    let mut bytes = Vec::new();
-    file.take(length).read_to_end(&mut bytes).ok()?;
-    (bytes.len() as u64 == length && *blake3::hash(&bytes).as_bytes() == hash).then_some(bytes)
+    (length <= MAX_OUTCOME_BYTES).then(|| (length, blake3::Hash::from_bytes(hash)))
+}
+
+/// Reads the bytes of a frame, one buffer at a time, and returns true if they have this length and this hash.
+fn is_whole(file: &mut File, length: u64, hash: blake3::Hash) -> bool {
+    let mut hasher = blake3::Hasher::new();
+    let read = hasher.update_reader(file.take(length));
+    read.is_ok() && hasher.count() == length && hasher.finalize() == hash
 }
 
 /// The ends of the whole frames at the beginning of a file.
 fn whole_frames(mut file: File) -> Vec<u64> {
     let (mut ends, mut end) = (Vec::new(), 0);
-    while let Some(bytes) = frame(&mut file) {
-        end += HEADER + bytes.len() as u64;
+    while let Some((length, hash)) = header(&mut file)
+        && is_whole(&mut file, length, hash)
+    {
+        end += HEADER + length;
         ends.push(end);
     }
     ends
@@ -201,6 +239,17 @@ mod tests {
     use super::*;
 
     const TILE: Tile = (JobId(3), TileIndex(7));
+
+    impl Outcomes {
+        /// Reads an outcome.
+        fn get(&self, tile: Tile, phase: u32) -> Option<Vec<u8>> {
+            let (length, mut from) = self.open(tile, phase)?;
+            let mut bytes = Vec::new();
+            from.read_to_end(&mut bytes).unwrap();
+            assert_eq!(bytes.len() as u64, length);
+            Some(bytes)
+        }
+    }
 
     #[test]
     fn outcomes_are_there_again_up_to_the_first_damaged_one() {

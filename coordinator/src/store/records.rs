@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::ids::{Digest, JobId, TileIndex};
+use crate::ids::{Digest, JobId, TileIndex, worker_name};
 
 /// A scene the coordinator holds.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -238,6 +238,41 @@ pub struct QuarantineRecord {
     pub reason: String,
 }
 
+/// The state of the clocks by which retention measures ages, as the coordinator records it now and then.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RetentionStamp {
+    /// The wall clock, in milliseconds since 1970.
+    pub wall_ms: u64,
+    /// The time that coordinators have run on this store, in milliseconds of their monotonic clocks.
+    pub ran_ms: u64,
+    /// The trusted span for the age of ended jobs and of scenes.
+    pub jobs: TrustedSpan,
+    /// The trusted span for the age of blobs.
+    pub blobs: TrustedSpan,
+}
+
+/// A span of run time up to now in which the wall clock and the monotonic clock agree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TrustedSpan {
+    /// The start of the span, as run time in milliseconds.
+    pub begun_ms: u64,
+    /// The sum of the disagreements in the span, in milliseconds: downtimes, whose length only the wall clock
+    /// shows, and small steps.
+    pub doubt_ms: u64,
+    /// The span that replaces this one when it is as long as the age; begun when the doubt was too large.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next: Option<NextSpan>,
+}
+
+/// A trusted span that is not as long as the age yet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NextSpan {
+    /// The start of the span, as run time in milliseconds.
+    pub begun_ms: u64,
+    /// The doubt since then; see [`TrustedSpan::doubt_ms`].
+    pub doubt_ms: u64,
+}
+
 impl TileRecord {
     /// A tile without a record.
     pub fn open(tile: TileIndex) -> Self {
@@ -281,7 +316,7 @@ pub struct TileStats {
     pub cells: u64,
     /// Time the worker spent, in milliseconds.
     pub millis: u64,
-    /// The name of the worker; ≤ [`MAX_WORKER_BYTES`](super::MAX_WORKER_BYTES), as for request ids.
+    /// The signature of the worker; at most [`MAX_SIGNATURE_BYTES`](super::MAX_SIGNATURE_BYTES) long.
     pub worker: String,
     /// Others who had a hand in it: helpers, and those whose outcomes it went on from; at most
     /// [`MAX_HELPERS`](super::MAX_HELPERS).
@@ -296,9 +331,10 @@ pub struct TileStats {
 }
 
 impl TileStats {
-    /// Whether a worker of this name may have had a hand in it.
+    /// Returns true if a worker with this name or signature may have contributed.
     pub fn may_be_of(&self, name: &str) -> bool {
-        self.worker == name || self.unnamed > 0 || self.helpers.iter().any(|helper| helper == name)
+        let is_meant = |signature: &str| signature == name || worker_name(signature) == name;
+        is_meant(&self.worker) || self.unnamed > 0 || self.helpers.iter().any(|helper| is_meant(helper))
     }
 }
 

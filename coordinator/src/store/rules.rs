@@ -8,14 +8,15 @@ use serde::{Deserialize, Serialize};
 
 use super::entries::Entry;
 use super::error::StoreError;
+use super::identity::StoreIdentity;
 use super::limits::{
     MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
-    MAX_REASONS, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier, check_length, check_name,
-    clean_reason,
+    MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier,
+    check_length, check_name, clean_reason,
 };
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, SceneRecord, Submitted,
-    TileFailure, TileRecord, TileResult, TileState,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
+    Submitted, TileFailure, TileRecord, TileResult, TileState,
 };
 use super::table::{Bytes, Changes, Over, Table, View, encode, key};
 use crate::ids::{Digest, JobId, TileIndex};
@@ -43,11 +44,15 @@ pub(super) enum Event {
     Quarantined(QuarantineRecord),
     /// A worker gets tiles again.
     Released { worker: String },
+    /// The clocks of retention were recorded.
+    RetentionStamped(RetentionStamp),
     /// A scene was removed.
     SceneDeleted {
         #[serde(with = "super::records::hex_digest")]
         scene: Digest,
     },
+    /// The store received its identity.
+    Identified(StoreIdentity),
     /// Entries of another store, or of this one before its journal was compacted: keys in hexadecimal
     /// digits, and values as base64.
     Imported { entries: Vec<(String, String)> },
@@ -122,6 +127,9 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let value = encode(&key, record)?;
             put(key, value);
         }
+        Event::RetentionStamped(stamp) => {
+            put(key::RETENTION_STAMP.to_vec(), encode(key::RETENTION_STAMP, stamp)?);
+        }
         Event::SceneDeleted { scene } => {
             changes.insert(key::scene(scene), None);
         }
@@ -133,6 +141,9 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
         }
         Event::Released { worker } => {
             changes.insert(key::quarantined(worker), None);
+        }
+        Event::Identified(identity) => {
+            put(key::IDENTITY.to_vec(), encode(key::IDENTITY, identity)?);
         }
         Event::EpochBegun(epoch) => {
             put(key::EPOCH.to_vec(), encode(key::EPOCH, epoch)?);
@@ -150,6 +161,11 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
         }
     }
     Ok(changes)
+}
+
+/// Decodes the events of a frame of the journal that ends at `before`.
+pub(super) fn events(payload: &[u8], before: u64) -> Result<Vec<Event>, StoreError> {
+    serde_json::from_slice(payload).map_err(|e| StoreError::Unreadable { before, what: e.to_string() })
 }
 
 /// Adds the changes of an event, which happens after those in `staged`, to `staged`.
@@ -268,10 +284,10 @@ pub(super) fn commit_tile(
     tile: TileIndex,
     result: TileResult,
 ) -> Decided<CommitOutcome> {
-    check_identifier("the worker's name", &result.stats.worker, MAX_WORKER_BYTES)?;
+    check_identifier("the worker's name", &result.stats.worker, MAX_SIGNATURE_BYTES)?;
     check_length("the list of helpers", result.stats.helpers.len(), MAX_HELPERS)?;
     for helper in &result.stats.helpers {
-        check_identifier("a helper's name", helper, MAX_WORKER_BYTES)?;
+        check_identifier("a helper's name", helper, MAX_SIGNATURE_BYTES)?;
     }
     let (record, mut found) = view.job_and_tile(job, tile)?;
     if let TileState::Done { digest: kept, .. } = found.state {
@@ -314,6 +330,40 @@ pub(super) fn fail_tile(
     }
     let answer = count(&found);
     happened(Event::TileChanged { job, tile: found }, answer)
+}
+
+/// Records the death of a worker as a failure of a tile, unless a failure of the worker is known.
+pub(super) fn count_death(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    worker: String,
+    reason: &str,
+) -> Decided<u32> {
+    let (_, found) = view.job_and_tile(job, tile)?;
+    if found.failures.iter().any(|known| known.worker == worker) {
+        // At most MAX_FAILURES, so this cannot be cut.
+        return unchanged(found.failures.len() as u32);
+    }
+    fail_tile(view, job, tile, worker, reason)
+}
+
+pub(super) fn forget_failure(
+    view: View<'_>,
+    job: JobId,
+    tile: TileIndex,
+    worker: &str,
+    reason: &str,
+) -> Decided<()> {
+    let (record, mut found) = view.job_and_tile(job, tile)?;
+    let reason = clean_reason(reason);
+    let is_meant = |failure: &TileFailure| failure.worker == worker && failure.reason == reason;
+    let known = found.failures.len();
+    found.failures.retain(|failure| !is_meant(failure));
+    if found.state != TileState::Open || record.state.phase().ended() || found.failures.len() == known {
+        return unchanged(());
+    }
+    happened(Event::TileChanged { job, tile: found }, ())
 }
 
 pub(super) fn set_aside_tile(
@@ -440,6 +490,13 @@ pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
         record.finished_at_ms = None;
     }
     happened(Event::TilesReopened { job: record, tiles }, set_aside)
+}
+
+pub(super) fn stamp_retention(view: View<'_>, stamp: RetentionStamp) -> Decided<()> {
+    if view.retention_stamp()? == Some(stamp) {
+        return unchanged(());
+    }
+    happened(Event::RetentionStamped(stamp), ())
 }
 
 pub(super) fn begin_epoch(view: View<'_>) -> Decided<u64> {

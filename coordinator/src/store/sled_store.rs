@@ -13,25 +13,33 @@
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::thread::JoinHandle;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::api::{Report, Store as _};
 use super::commands::{Pending, pending};
 use super::compaction;
+use super::disk::{self, Disk, SystemDisk};
 use super::engine::Engine;
 use super::entries;
 use super::error::{JournalError, StoreError};
-use super::journal::Journal;
+use super::journal::{Journal, Numbers};
 use super::live::Live;
-use super::lock::{fault, lock};
+use super::lock::{self, fault, lock};
+use super::memory::MemoryStore;
 use super::rules::{self, Decision};
+use super::salvage::{self, Damage, ViewEntries};
 use super::table::{Bytes, Changes, Over, View};
 
 /// A group commit takes no more commands once its events are this long; the journal's bound is far above.
 const GROUP_BYTES: usize = 1 << 20;
+
+/// The watermark is synced when no command came for this long.
+const IDLE: Duration = Duration::from_millis(50);
+/// The watermark is synced after this many commits, even if commands keep coming.
+const WATERMARK_COMMITS: u32 = 64;
 
 /// The embedded store.
 #[derive(Debug)]
@@ -41,8 +49,8 @@ pub struct SledStore {
     commands: Mutex<Option<Sender<Box<dyn Pending>>>>,
     writer: Option<JoinHandle<()>>,
     told: Arc<Told>,
-    /// Released last: fields are dropped in order.
-    lock: File,
+    /// Released last: fields are dropped in order. `None` on a disk of a test.
+    lock: Option<File>,
 }
 
 impl SledStore {
@@ -51,14 +59,33 @@ impl SledStore {
     /// # Errors
     /// When another process uses the directory, the journal is damaged or missing, or the disk fails.
     pub fn open(directory: &Path) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(directory).map_err(fault("create", directory))?;
+        let disk: Arc<dyn Disk> = Arc::new(SystemDisk);
+        disk::create_folder(&*disk, directory).map_err(fault("create", directory))?;
         let lock = lock(&directory.join("lock"))?;
         let (path, view) = (directory.join("journal"), directory.join("sled"));
         if view.exists() && !path.exists() {
-            return Err(JournalError::Missing { path, view }.into());
+            return Err(JournalError::Missing { path }.into());
         }
-        let journal = Journal::open(&path)?;
-        let live = match Live::open(&view, &journal).and_then(|live| live.caught_up(&journal)) {
+        // A new store has its journal first: a view without one stands for lost data.
+        let existing = path.exists().then(|| Live::open(&view, Arc::clone(&disk), &path));
+        let seen = match &existing {
+            Some(Ok(live)) => live.watermark()?,
+            Some(Err(_)) | None => None,
+        };
+        let journal = match Journal::open(&*disk, &path, seen) {
+            Err(JournalError::Damaged { path, offset, what, .. }) => {
+                let of_view = existing.and_then(Result::ok).map(|live| live.entries()).transpose()?.flatten();
+                let damage = salvage::read(&*disk, &path, of_view)?.damage;
+                let lost = damage.map_or_else(String::new, |damage| damage.loss());
+                return Err(JournalError::Damaged { path, offset, what, lost }.into());
+            }
+            Err(JournalError::Io { doing: "read", path, source }) if disk::is_unreadable(&source) => {
+                return Err(JournalError::Unreadable { path, source }.into());
+            }
+            other => other?,
+        };
+        let fresh = || Live::open(&view, Arc::clone(&disk), &path);
+        let live = match existing.unwrap_or_else(fresh).and_then(|live| live.caught_up(&journal)) {
             Ok(live) => live,
             Err(StoreError::View { what }) => {
                 let aside = move_aside(&view)?;
@@ -66,19 +93,40 @@ impl SledStore {
                     %what, aside = %aside.display(),
                     "the store's view is unusable; it is rebuilt from the journal"
                 );
-                Live::open(&view, &journal)?.caught_up(&journal)?
+                fresh()?.caught_up(&journal)?
             }
             Err(other) => return Err(other),
         };
-        let (journal, live) = compacted(journal, live, (&path, &view))?;
+        let (journal, live) = compacted(&disk, journal, live, (&path, &view))?;
+        Self::start(journal, live, Some(IDLE), Some(lock))
+    }
+
+    /// Opens or creates the store on another disk, with its view in memory.
+    #[cfg(test)]
+    pub(crate) fn open_on(disk: Arc<dyn Disk>, directory: &Path) -> Result<Self, StoreError> {
+        disk::create_folder(&*disk, directory).map_err(fault("create", directory))?;
+        let path = directory.join("journal");
+        let journal = Journal::open(&*disk, &path, None)?;
+        let live = Live::in_memory(disk, &path).caught_up(&journal)?;
+        Self::start(journal, live, None, None)
+    }
+
+    fn start(
+        mut journal: Journal,
+        live: Live,
+        idle: Option<Duration>,
+        lock: Option<File>,
+    ) -> Result<Self, StoreError> {
+        journal.acknowledge(View(&live).numbers()?)?;
         let live = Arc::new(RwLock::new(live));
         let (commands, incoming) = channel();
         let told = Arc::<Told>::default();
-        let writer = Writer { journal, live: live.clone(), told: Arc::clone(&told) };
+        let (writer_view, writer_told) = (Arc::clone(&live), Arc::clone(&told));
+        let writer = Writer { journal, idle, since_sync: 0, live: writer_view, told: writer_told };
         let writer = std::thread::Builder::new()
             .name("store-writer".to_owned())
             .spawn(move || writer.run(&incoming))
-            .map_err(fault("start the writer thread for", directory))?;
+            .map_err(|e| StoreError::Thread { what: e.to_string() })?;
         Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), told, lock })
     }
 }
@@ -113,43 +161,137 @@ impl SledStore {
     pub fn compact(directory: &Path) -> Result<Compacted, StoreError> {
         let path = directory.join("journal");
         if !path.exists() {
-            return Err(JournalError::Missing { path, view: directory.join("sled") }.into());
+            return Err(JournalError::Missing { path }.into());
         }
         let store = Self::open(directory)?;
-        let entries = store.entries()?;
+        let (entries, numbers) = (store.entries()?, store.numbers()?);
         let from = std::fs::metadata(&path).map_err(fault("measure", &path))?.len();
         // The lock stays; the view and the writer go.
-        let lock = store.lock.try_clone().map_err(fault("keep the lock of", directory))?;
+        let lock = store.lock.as_ref().map(File::try_clone).transpose();
+        let lock = lock.map_err(fault("keep the lock of", directory))?;
         drop(store);
-        let to = compaction::replace(&path, &entries)?;
+        let to = compaction::replace(&SystemDisk, &path, &entries, numbers)?;
         remove_view(&directory.join("sled"))?;
         drop(lock);
         Ok(Compacted { from, to })
     }
+
+    fn numbers(&self) -> Result<Numbers, StoreError> {
+        self.query(|view| view.numbers())
+    }
+
+    /// Reads the store in `directory` without changing any file in it.
+    ///
+    /// # Errors
+    /// When a coordinator uses the directory, there is no store, or the disk fails. Damage is not an error.
+    pub fn inspect(directory: &Path) -> Result<StoreInspection, StoreError> {
+        let lock = lock::probe(&directory.join("lock"))?;
+        let (disk, path) = (SystemDisk, directory.join("journal"));
+        // Opening sled changes its files, so a copy of them is opened.
+        let salvage = match view_of_copy(&directory.join("sled"), &path) {
+            Ok(view) => salvage::read(&disk, &path, view)?,
+            Err(e) => {
+                let alone = salvage::read(&disk, &path, None)?;
+                if alone.damage.is_some() {
+                    return Err(e);
+                }
+                tracing::warn!("the view was not compared with the journal, which is whole: {e}");
+                alone
+            }
+        };
+        drop(lock);
+        Ok(StoreInspection { store: MemoryStore::with(salvage.entries), damage: salvage.damage })
+    }
+
+    /// Repairs the journal of the store in `directory`, if acknowledged frames of it are damaged.
+    ///
+    /// # Errors
+    /// When a coordinator uses the directory, or the disk fails.
+    pub fn repair(directory: &Path) -> Result<Option<Repaired>, StoreError> {
+        let _lock = lock(&directory.join("lock"))?;
+        let disk: Arc<dyn Disk> = Arc::new(SystemDisk);
+        let (path, view) = (directory.join("journal"), directory.join("sled"));
+        let of_view = view_of_copy(&view, &path)?;
+        let salvage = salvage::read(&*disk, &path, of_view)?;
+        let Some(damage) = salvage.damage.clone() else { return Ok(None) };
+        let damaged = salvage::replace(&*disk, &path, salvage)?;
+        remove_view(&view)?;
+        Ok(Some(Repaired { damage, damaged }))
+    }
+}
+
+/// The content of a store that was read without changing it.
+#[derive(Debug)]
+pub struct StoreInspection {
+    /// The readable records.
+    pub store: MemoryStore,
+    /// The damage to the journal, if there is any.
+    pub damage: Option<Damage>,
+}
+
+/// The outcome of a repair.
+#[derive(Clone, Debug)]
+pub struct Repaired {
+    /// The damage, with the changes that the repair could not recover.
+    pub damage: Damage,
+    /// The path of the damaged journal's copy; `None` if the journal was missing.
+    pub damaged: Option<PathBuf>,
+}
+
+/// Reads a view from a copy of its files, so that they stay as they are. Returns `None` if it is unusable.
+fn view_of_copy(view: &Path, journal: &Path) -> Result<Option<ViewEntries>, StoreError> {
+    if !view.is_dir() {
+        return Ok(None);
+    }
+    let copy = tempfile::tempdir().map_err(fault("create a folder for a copy of", view))?;
+    copy_folder(view, copy.path()).map_err(fault("copy", view))?;
+    match Live::open(copy.path(), Arc::new(SystemDisk), journal).and_then(|live| live.entries()) {
+        Ok(found) => Ok(found),
+        Err(StoreError::View { what }) => {
+            tracing::warn!(%what, "the store's view is unusable, so that only its journal counts");
+            Ok(None)
+        }
+        Err(other) => Err(other),
+    }
+}
+
+fn copy_folder(from: &Path, to: &Path) -> std::io::Result<()> {
+    std::fs::create_dir_all(to)?;
+    for entry in std::fs::read_dir(from)? {
+        let entry = entry?;
+        let to = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy_folder(&entry.path(), &to)?;
+        } else {
+            std::fs::copy(entry.path(), to)?;
+        }
+    }
+    Ok(())
 }
 
 /// The journal compacted, if that is worth it, and the view of it.
 fn compacted(
+    disk: &Arc<dyn Disk>,
     journal: Journal,
     live: Live,
     (path, view): (&Path, &Path),
 ) -> Result<(Journal, Live), StoreError> {
-    let entries = entries::all(View(&live))?;
-    if !compaction::is_worth(journal.end(), &entries) {
+    let (entries, numbers) = (entries::all(View(&live))?, View(&live).numbers()?);
+    let from = journal.end().offset;
+    if !compaction::is_worth(from, &entries) {
         return Ok((journal, live));
     }
-    let from = journal.end();
     drop((journal, live));
-    let to = compaction::replace(path, &entries)?;
+    let to = compaction::replace(&**disk, path, &entries, numbers)?;
     remove_view(view)?;
     tracing::info!("the journal was compacted from {from} to {to} bytes");
-    let journal = Journal::open(path)?;
-    let live = Live::open(view, &journal)?.caught_up(&journal)?;
+    let journal = Journal::open(&**disk, path, None)?;
+    let live = Live::open(view, Arc::clone(disk), path)?.caught_up(&journal)?;
     Ok((journal, live))
 }
 
 /// Removes a view; it is made again from the journal.
-fn remove_view(view: &Path) -> Result<(), StoreError> {
+pub(super) fn remove_view(view: &Path) -> Result<(), StoreError> {
     match std::fs::remove_dir_all(view) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(fault("remove", view)(e)),
         _ => Ok(()),
@@ -208,13 +350,17 @@ impl std::fmt::Debug for Told {
 /// The writer thread: the only one that appends to the journal and changes the view.
 struct Writer {
     journal: Journal,
+    /// The watermark is synced when no command came for this long; `None` for a count of commits only.
+    idle: Option<Duration>,
+    /// Commits since the watermark was synced.
+    since_sync: u32,
     live: Arc<RwLock<Live>>,
     told: Arc<Told>,
 }
 
 impl Writer {
     fn run(mut self, incoming: &Receiver<Box<dyn Pending>>) {
-        while let Ok(first) = incoming.recv() {
+        while let Some(first) = self.next(incoming) {
             let mut group = Vec::new();
             let mut staged = Changes::new();
             let mut payload = b"[".to_vec();
@@ -245,6 +391,32 @@ impl Writer {
                 command.answer(&outcome);
             }
         }
+        self.sync_watermark();
+    }
+
+    /// Waits for a command. While none comes, the watermark is made durable: no caller waits for that sync.
+    fn next(&mut self, incoming: &Receiver<Box<dyn Pending>>) -> Option<Box<dyn Pending>> {
+        let is_due = self.since_sync >= WATERMARK_COMMITS;
+        let waited = match self.idle {
+            _ if is_due => Err(RecvTimeoutError::Timeout),
+            Some(idle) => incoming.recv_timeout(idle),
+            None => incoming.recv().map_err(|_| RecvTimeoutError::Disconnected),
+        };
+        match waited {
+            Ok(command) => Some(command),
+            Err(RecvTimeoutError::Disconnected) => None,
+            Err(RecvTimeoutError::Timeout) => {
+                self.sync_watermark();
+                incoming.recv().ok()
+            }
+        }
+    }
+
+    fn sync_watermark(&mut self) {
+        if let Err(error) = self.journal.sync_watermark() {
+            tracing::warn!(%error, "the journal's watermark is not durable yet");
+        }
+        self.since_sync = 0;
     }
 
     /// One command's event as it goes to the journal, its changes added to `staged`.
@@ -260,7 +432,11 @@ impl Writer {
 
     fn commit(&mut self, payload: &[u8], staged: Changes) -> Result<(), StoreError> {
         let begun = Instant::now();
-        let end = self.journal.append(payload).inspect_err(|e| {
+        let numbers = {
+            let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
+            View(&Over { under: &*live, changes: &staged }).numbers()?
+        };
+        let end = self.journal.append(payload, numbers).inspect_err(|e| {
             if matches!(e, JournalError::Unusable { .. }) {
                 // Only the first one says what happened.
                 let _ = self.told.trouble.set(e.clone());
@@ -269,6 +445,7 @@ impl Writer {
         if let Some(tell) = self.told.syncs.get() {
             tell(begun.elapsed());
         }
+        self.since_sync += 1;
         self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
         Ok(())
     }

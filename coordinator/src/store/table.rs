@@ -10,8 +10,10 @@ use std::collections::BTreeMap;
 use serde::{Serialize, de::DeserializeOwned};
 
 use super::error::StoreError;
+use super::identity::StoreIdentity;
+use super::journal::Numbers;
 use super::limits::check_length;
-use super::records::{JobRecord, QuarantineRecord, SceneRecord, TileRecord};
+use super::records::{JobRecord, QuarantineRecord, RetentionStamp, SceneRecord, TileRecord};
 use crate::ids::{Digest, JobId, TileIndex};
 
 /// Values are kept below this, because sled's space grows on every overwrite of a large one.
@@ -83,6 +85,8 @@ pub(super) mod key {
     pub(in crate::store) const EPOCH: &[u8] = b"e";
     pub(in crate::store) const NEXT_JOB: &[u8] = b"n";
     pub(in crate::store) const QUARANTINED: &[u8] = b"q";
+    pub(in crate::store) const IDENTITY: &[u8] = b"i";
+    pub(in crate::store) const RETENTION_STAMP: &[u8] = b"c";
 
     fn join(parts: &[&[u8]]) -> Bytes {
         parts.concat()
@@ -274,8 +278,21 @@ impl View<'_> {
         Ok(self.0.get(&key::quarantined(worker))?.is_some())
     }
 
+    pub(super) fn identity(self) -> Result<Option<StoreIdentity>, StoreError> {
+        self.one(key::IDENTITY)
+    }
+
+    pub(super) fn retention_stamp(self) -> Result<Option<RetentionStamp>, StoreError> {
+        self.one(key::RETENTION_STAMP)
+    }
+
     pub(super) fn epoch(self) -> Result<u64, StoreError> {
         Ok(self.one(key::EPOCH)?.unwrap_or(0))
+    }
+
+    /// Returns the numbers that the store has given out.
+    pub(super) fn numbers(self) -> Result<Numbers, StoreError> {
+        Ok(Numbers { next_job: self.next_job()?.0, epoch: self.epoch()? })
     }
 
     pub(super) fn next_job(self) -> Result<JobId, StoreError> {

@@ -4,7 +4,8 @@
 use super::checked;
 use super::entries::Entry;
 use super::error::StoreError;
-use super::limits::{MAX_WORKER_BYTES, check_identifier, clean_reason};
+use super::identity::StoreIdentity;
+use super::limits::{MAX_SIGNATURE_BYTES, check_identifier, clean_reason};
 use super::records::{JobPhase, JobState, QuarantineRecord, SceneRecord, TileCheck, TileRecord, TileState};
 use super::rules::{Decided, Event, happened, unchanged};
 use super::table::View;
@@ -18,7 +19,7 @@ pub(super) fn confirm_tile(
     digest: Digest,
     check: TileCheck,
 ) -> Decided<()> {
-    check_identifier("the worker's name", &check.worker, MAX_WORKER_BYTES)?;
+    check_identifier("the worker's name", &check.worker, MAX_SIGNATURE_BYTES)?;
     let (_, mut found) = view.job_and_tile(job, tile)?;
     match &found.state {
         TileState::Done { digest: kept, .. } if *kept == digest && found.check.as_ref() != Some(&check) => {
@@ -76,9 +77,17 @@ pub(super) fn import(view: View<'_>, entries: Vec<Entry>, first: bool) -> Decide
     happened(Event::Imported { entries }, ())
 }
 
+/// Gives the store an identity unless it has one; returns the store's.
+pub(super) fn identify(view: View<'_>, fresh: StoreIdentity) -> Decided<StoreIdentity> {
+    match view.identity()? {
+        Some(known) => unchanged(known),
+        None => happened(Event::Identified(fresh.clone()), fresh),
+    }
+}
+
 /// Records that a worker gets no tiles any more; the first reason stays.
 pub(super) fn quarantine(view: View<'_>, record: QuarantineRecord) -> Decided<()> {
-    check_identifier("the worker's name", &record.worker, MAX_WORKER_BYTES)?;
+    check_identifier("the worker's name", &record.worker, MAX_SIGNATURE_BYTES)?;
     if view.is_quarantined(&record.worker)? {
         return unchanged(());
     }

@@ -7,9 +7,13 @@ use std::fs::File;
 use std::io::{self, Read, Write};
 use std::time::SystemTime;
 
+use super::super::identity::StoreId;
 use super::direct::Direct;
 use super::error::BlobError;
 use crate::ids::Digest;
+
+/// The name of the file or object that names the owner of the blobs.
+pub(super) const OWNER: &str = "store-identity";
 
 /// A blob whose digest was checked, to be read from its start.
 pub struct BlobReader {
@@ -96,6 +100,12 @@ pub trait Blobs: Send + Sync {
 
     /// Removes a blob; returns whether it was present.
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError>;
+
+    /// Returns the store that the blobs belong to, or `None` before the first [`Blobs::claim`].
+    fn owner(&self) -> Result<Option<StoreId>, BlobError>;
+
+    /// Records durably that the blobs belong to a store, in place of any earlier owner.
+    fn claim(&self, store: StoreId) -> Result<(), BlobError>;
 
     /// An empty, unnamed file that the system deletes when it is closed, for work that may exceed memory;
     /// `None` where the blobs themselves are in memory.

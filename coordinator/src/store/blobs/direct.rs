@@ -5,7 +5,7 @@
 //! writes beside the blobs, and the coordinator puts what it has read and checked in place.
 
 use std::fmt;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use crate::ids::{Digest, Lease, hex};
 
@@ -83,9 +83,9 @@ pub trait Direct: Send + Sync {
     /// When the store does not answer.
     fn discard(&self, staged: &Staged) -> Result<(), BlobError>;
 
-    /// Removes the outputs of workers that were written longer than `grace` ago; returns how many.
+    /// Removes the outputs of workers whose time `is_old`; returns how many.
     ///
     /// # Errors
     /// When the store does not answer.
-    fn sweep(&self, grace: Duration) -> Result<u64, BlobError>;
+    fn sweep(&self, is_old: &dyn Fn(SystemTime) -> bool) -> Result<u64, BlobError>;
 }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use rustix::io::Errno;
 
+use super::super::identity::StoreId;
 use crate::ids::Digest;
 
 /// An operation on a blob that failed.
@@ -101,6 +102,16 @@ pub enum BlobError {
         /// What is wrong.
         reason: String,
     },
+    /// The record of the blobs' owner cannot be understood.
+    #[error(
+        "{} names no store (32 hexadecimal digits are expected); if these blobs belong to this coordinator, \
+         run `sightline store verify --claim-blobs` with its --data-dir, --store and --blobs",
+        .path.display()
+    )]
+    Owner {
+        /// The file or object.
+        path: PathBuf,
+    },
     /// A file operation failed.
     #[error("cannot {doing} {}: {source}; check the disk and the permissions", .path.display())]
     Io {
@@ -111,6 +122,12 @@ pub enum BlobError {
         /// The system's error.
         source: Arc<io::Error>,
     },
+}
+
+/// Parses the record of the blobs' owner at `path`.
+pub(super) fn parse_owner(bytes: &[u8], path: &Path) -> Result<StoreId, BlobError> {
+    let text = std::str::from_utf8(bytes).unwrap_or_default();
+    text.trim_end().parse().map_err(|()| BlobError::Owner { path: path.to_owned() })
 }
 
 impl BlobError {

@@ -3,7 +3,7 @@
 //! A file is written under `tmp/` (`tmp-NAME/` where processes share the directory), synced, renamed into
 //! place, and its directories synced: a file under its final name is complete. The crate tempfile syncs
 //! nothing and would replace only the choice of the temporary name. Open the store first: its lock keeps two
-//! coordinators out of one data directory.
+//! coordinators out of one data directory. All operations go through a [`Disk`], which tests replace.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, ErrorKind, Read, Seek, Write};
@@ -12,13 +12,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
-use super::api::{BlobReader, BlobWriter, Blobs, Stored};
-use super::error::{BlobError, check_announced, fault};
+use super::super::disk::{self, Access, Disk, DiskFile, SystemDisk};
+use super::super::identity::StoreId;
+use super::api::{BlobReader, BlobWriter, Blobs, OWNER, Stored};
+use super::error::{BlobError, check_announced, fault, parse_owner};
 use crate::ids::{Digest, hex};
 
 /// A directory of blobs. Clones share it.
 #[derive(Clone, Debug)]
 pub struct FileBlobs {
+    disk: Arc<dyn Disk>,
     root: Arc<PathBuf>,
     /// Where files that are not finished lie.
     unfinished: Arc<PathBuf>,
@@ -31,7 +34,7 @@ impl FileBlobs {
     /// # Errors
     /// When the directory cannot be created, listed or synced.
     pub fn open(directory: &Path) -> Result<Self, BlobError> {
-        Self::open_as(directory, "tmp".to_owned())
+        Self::open_on(Arc::new(SystemDisk), directory, "tmp")
     }
 
     /// The same in a directory that several processes share; each has a name of its own, for ever. A file is
@@ -41,19 +44,39 @@ impl FileBlobs {
     /// # Errors
     /// As [`FileBlobs::open`].
     pub fn open_shared(directory: &Path, name: &str) -> Result<Self, BlobError> {
-        Self::open_as(directory, format!("tmp-{name}"))
+        Self::open_on(Arc::new(SystemDisk), directory, &format!("tmp-{name}"))
     }
 
-    fn open_as(directory: &Path, unfinished: String) -> Result<Self, BlobError> {
-        let unfinished = directory.join(unfinished);
-        std::fs::create_dir_all(&unfinished).map_err(fault("create", &unfinished))?;
-        for entry in std::fs::read_dir(&unfinished).map_err(fault("list", &unfinished))? {
-            let path = entry.map_err(fault("list", &unfinished))?.path();
-            std::fs::remove_file(&path).map_err(fault("remove", &path))?;
+    /// Opens an existing directory without changing it, for reading only.
+    ///
+    /// # Errors
+    /// [`BlobError::Io`] when the directory does not exist or cannot be listed.
+    pub fn inspect(directory: &Path) -> Result<Self, BlobError> {
+        let blobs = Self::at(Arc::new(SystemDisk), directory, "tmp");
+        blobs.disk.list(directory).map_err(fault("list", directory))?;
+        Ok(blobs)
+    }
+
+    /// Opens a directory on a disk; `unfinished` is the name of the folder for unfinished files.
+    pub(in crate::store) fn open_on(
+        disk: Arc<dyn Disk>,
+        directory: &Path,
+        unfinished: &str,
+    ) -> Result<Self, BlobError> {
+        let blobs = Self::at(disk, directory, unfinished);
+        let (disk, unfinished) = (&*blobs.disk, &**blobs.unfinished);
+        disk::create_folder(disk, directory).map_err(fault("create", directory))?;
+        disk.create_folder(unfinished).map_err(fault("create", unfinished))?;
+        for path in disk.list(unfinished).map_err(fault("list", unfinished))? {
+            disk.remove(&path).map_err(fault("remove", &path))?;
         }
-        sync_directory(directory)?;
-        let (root, unfinished) = (Arc::new(directory.to_owned()), Arc::new(unfinished));
-        Ok(Self { root, unfinished, written: Arc::default() })
+        blobs.sync_folder(directory)?;
+        Ok(blobs)
+    }
+
+    fn at(disk: Arc<dyn Disk>, directory: &Path, unfinished: &str) -> Self {
+        let unfinished = Arc::new(directory.join(unfinished));
+        Self { disk, root: Arc::new(directory.to_owned()), unfinished, written: Arc::default() }
     }
 
     /// The path of a blob, whether it is present or not. Do not write there.
@@ -78,9 +101,7 @@ impl FileBlobs {
                 // Who puts a blob is going to name it, so it must not look like one that nobody has named
                 // for long.
                 let path = self.path(&digest);
-                File::open(&path)
-                    .and_then(|file| file.set_modified(SystemTime::now()))
-                    .map_err(fault("date", &path))?;
+                self.disk.date(&path, SystemTime::now()).map_err(fault("date", &path))?;
                 return Ok(digest);
             }
             Err(BlobError::Missing { .. }) => {}
@@ -95,7 +116,7 @@ impl FileBlobs {
     /// Syncs a blob that is present but may not be durable yet ([`Blobs::put_unsynced`]).
     fn sync(&self, digest: &Digest) -> Result<(), BlobError> {
         let place = self.path(digest);
-        File::open(&place).and_then(|file| file.sync_all()).map_err(fault("sync", &place))?;
+        self.disk.open(&place, Access::Read).and_then(|file| file.sync()).map_err(fault("sync", &place))?;
         self.sync_directories(&place)
     }
 
@@ -104,14 +125,17 @@ impl FileBlobs {
         // Both levels lie under the root by construction of `path`.
         let inner = place.parent().unwrap_or(&self.root);
         let outer = inner.parent().unwrap_or(&self.root);
-        [inner, outer, &self.root].into_iter().try_for_each(sync_directory)
+        [inner, outer, &self.root].into_iter().try_for_each(|folder| self.sync_folder(folder))
+    }
+
+    fn sync_folder(&self, folder: &Path) -> Result<(), BlobError> {
+        self.disk.sync_folder(folder).map_err(fault("sync", folder))
     }
 
     /// A file for a blob that arrives.
     pub(super) fn writer(&self) -> Result<FileWriter, BlobError> {
         let path = self.unfinished();
-        let file =
-            OpenOptions::new().write(true).create_new(true).open(&path).map_err(fault("create", &path))?;
+        let file = self.disk.open(&path, Access::Create).map_err(fault("create", &path))?;
         Ok(FileWriter { blobs: self.clone(), path, file, hasher: blake3::Hasher::new(), length: 0 })
     }
 }
@@ -119,23 +143,23 @@ impl FileBlobs {
 impl Blobs for FileBlobs {
     fn len(&self, digest: &Digest) -> Result<Option<u64>, BlobError> {
         let path = self.path(digest);
-        match std::fs::metadata(&path) {
-            Ok(metadata) => Ok(Some(metadata.len())),
-            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(fault("look at", &path)(error)),
-        }
+        let found = self.disk.attributes(&path).map_err(fault("look at", &path))?;
+        Ok(found.map(|found| found.length))
     }
 
     fn read(&self, digest: &Digest) -> Result<Vec<u8>, BlobError> {
         let path = self.path(digest);
         let mut bytes = Vec::new();
-        File::open(&path).and_then(|mut file| file.read_to_end(&mut bytes)).map_err(fault("read", &path))?;
+        self.disk
+            .open(&path, Access::Read)
+            .and_then(|mut file| file.read_to_end(&mut bytes))
+            .map_err(fault("read", &path))?;
         if blake3::hash(&bytes).as_bytes() == digest { Ok(bytes) } else { Err(BlobError::Damaged { path }) }
     }
 
     fn open_checked(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
         let path = self.path(digest);
-        let mut file = File::open(&path).map_err(fault("read", &path))?;
+        let mut file = self.disk.open(&path, Access::Read).map_err(fault("read", &path))?;
         let mut hasher = blake3::Hasher::new();
         hasher.update_reader(&mut file).map_err(fault("read", &path))?;
         if hasher.finalize().as_bytes() != digest {
@@ -143,7 +167,7 @@ impl Blobs for FileBlobs {
         }
         let length = file.stream_position().map_err(fault("read", &path))?;
         file.rewind().map_err(fault("read", &path))?;
-        Ok(BlobReader { bytes: Box::new(file), length })
+        Ok(BlobReader { bytes: file, length })
     }
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
@@ -159,14 +183,7 @@ impl Blobs for FileBlobs {
     }
 
     fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
-        let list = |path: &Path| {
-            let mut names = Vec::new();
-            for entry in std::fs::read_dir(path).map_err(fault("list", path))? {
-                names.push(entry.map_err(fault("list", path))?.path());
-            }
-            names.sort();
-            Ok(names)
-        };
+        let list = |path: &Path| self.disk.list(path).map_err(fault("list", path));
         let short = |path: &Path| path.file_name().is_some_and(|name| name.len() == 2);
         for outer in list(&self.root)?.iter().filter(|path| short(path)) {
             for inner in list(outer)?.iter().filter(|path| short(path)) {
@@ -187,20 +204,32 @@ impl Blobs for FileBlobs {
 
     fn written(&self, digest: &Digest) -> Result<Option<SystemTime>, BlobError> {
         let path = self.path(digest);
-        match std::fs::metadata(&path).and_then(|metadata| metadata.modified()) {
-            Ok(time) => Ok(Some(time)),
-            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-            Err(error) => Err(fault("look at", &path)(error)),
-        }
+        let found = self.disk.attributes(&path).map_err(fault("look at", &path))?;
+        Ok(found.map(|found| found.modified))
     }
 
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
         let path = self.path(digest);
-        match std::fs::remove_file(&path) {
+        match self.disk.remove(&path) {
             Ok(()) => Ok(true),
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(false),
             Err(error) => Err(fault("remove", &path)(error)),
         }
+    }
+
+    fn owner(&self) -> Result<Option<StoreId>, BlobError> {
+        let path = self.root.join(OWNER);
+        match disk::read_up_to(&*self.disk, &path, 64) {
+            Ok(bytes) => parse_owner(&bytes, &path).map(Some),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(fault("read", &path)(error)),
+        }
+    }
+
+    fn claim(&self, store: StoreId) -> Result<(), BlobError> {
+        let (path, beside) = (self.root.join(OWNER), self.root.join(format!("{OWNER}.new")));
+        let text = format!("{store}\n");
+        disk::replace(&*self.disk, &path, &beside, text.as_bytes()).map_err(fault("write", &path))
     }
 
     fn scratch(&self) -> Result<Option<File>, BlobError> {
@@ -224,7 +253,7 @@ impl Blobs for FileBlobs {
 pub(super) struct FileWriter {
     blobs: FileBlobs,
     path: PathBuf,
-    file: File,
+    file: Box<dyn DiskFile>,
     hasher: blake3::Hasher,
     length: u64,
 }
@@ -244,12 +273,13 @@ impl FileWriter {
     pub(super) fn place(self, expected: Option<&Digest>, sync: bool) -> Result<Digest, BlobError> {
         let digest = check_announced(self.hasher.finalize(), expected)?;
         if sync {
-            self.file.sync_all().map_err(fault("sync", &self.path))?;
+            self.file.sync().map_err(fault("sync", &self.path))?;
         }
         let place = self.blobs.path(&digest);
         let inner = place.parent().unwrap_or(&self.blobs.root);
-        std::fs::create_dir_all(inner).map_err(fault("create", inner))?;
-        std::fs::rename(&self.path, &place).map_err(fault("move into place", &place))?;
+        let disk = &self.blobs.disk;
+        disk.create_folder(inner).map_err(fault("create", inner))?;
+        disk.rename(&self.path, &place).map_err(fault("move into place", &place))?;
         if sync {
             self.blobs.sync_directories(&place)?;
         }
@@ -287,7 +317,7 @@ impl Write for FileWriter {
 
 impl Drop for FileWriter {
     fn drop(&mut self) {
-        match std::fs::remove_file(&self.path) {
+        match self.blobs.disk.remove(&self.path) {
             // Absent: the blob was finished and renamed.
             Err(error) if error.kind() != ErrorKind::NotFound => {
                 tracing::warn!(
@@ -298,10 +328,6 @@ impl Drop for FileWriter {
             _ => {}
         }
     }
-}
-
-fn sync_directory(directory: &Path) -> Result<(), BlobError> {
-    File::open(directory).and_then(|opened| opened.sync_all()).map_err(fault("sync", directory))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
+use super::super::identity::StoreId;
 use super::api::{BlobReader, BlobWriter, Blobs, Stored};
 use super::error::{BlobError, check_announced, fault};
 use crate::ids::{Digest, hex};
@@ -14,7 +15,10 @@ type Map = BTreeMap<Digest, (Arc<[u8]>, SystemTime)>;
 
 /// Blobs without a disk. Clones share them.
 #[derive(Clone, Debug, Default)]
-pub struct MemoryBlobs(Arc<Mutex<Map>>);
+pub struct MemoryBlobs {
+    blobs: Arc<Mutex<Map>>,
+    owner: Arc<Mutex<Option<StoreId>>>,
+}
 
 impl MemoryBlobs {
     /// No blobs.
@@ -24,7 +28,7 @@ impl MemoryBlobs {
 
     fn map(&self) -> MutexGuard<'_, Map> {
         // Every change is one insertion or removal, so a panic elsewhere cannot leave a blob half written.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.blobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn get(&self, digest: &Digest) -> Result<Arc<[u8]>, BlobError> {
@@ -83,6 +87,15 @@ impl Blobs for MemoryBlobs {
 
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
         Ok(self.map().remove(digest).is_some())
+    }
+
+    fn owner(&self) -> Result<Option<StoreId>, BlobError> {
+        Ok(*self.owner.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn claim(&self, store: StoreId) -> Result<(), BlobError> {
+        *self.owner.lock().unwrap_or_else(PoisonError::into_inner) = Some(store);
+        Ok(())
     }
 
     fn scratch(&self) -> Result<Option<std::fs::File>, BlobError> {

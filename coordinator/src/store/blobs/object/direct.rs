@@ -1,6 +1,6 @@
 //! Addresses of a bucket for workers, and the objects that they write: below `staged/` of the prefix.
 
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -91,10 +91,10 @@ impl Direct for ObjectBlobs {
         self.0.bucket.delete(&self.staged(staged))
     }
 
-    fn sweep(&self, grace: Duration) -> Result<u64, BlobError> {
+    fn sweep(&self, is_old: &dyn Fn(SystemTime) -> bool) -> Result<u64, BlobError> {
         let mut old = Vec::new();
         self.0.bucket.list(Some(STAGED), |key, _, written| {
-            if written.elapsed().is_ok_and(|age| age >= grace) {
+            if is_old(written) {
                 old.push(key.clone());
             }
             true

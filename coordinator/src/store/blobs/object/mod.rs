@@ -30,11 +30,15 @@ pub use place::{BlobPlace, BucketPlace, PlaceError, Ways};
 
 use self::bucket::Bucket;
 use self::cache::Cache;
-use super::api::{BlobReader, BlobWriter, Blobs, Carried, Stored};
+use super::super::identity::StoreId;
+use super::api::{BlobReader, BlobWriter, Blobs, Carried, OWNER, Stored};
 use super::direct::Direct;
-use super::error::{BlobError, check_announced, fault};
+use super::error::{BlobError, check_announced, fault, parse_owner};
 use super::files::FileWriter;
 use crate::ids::{Digest, hex};
+
+/// Maximum length of the record of the blobs' owner, in bytes.
+const OWNER_BYTES: usize = 64;
 
 /// Blobs in a bucket. Clones share it.
 #[derive(Clone)]
@@ -145,6 +149,26 @@ impl Blobs for ObjectBlobs {
             self.0.bucket.delete(&key)?;
         }
         Ok(was_there)
+    }
+
+    fn owner(&self) -> Result<Option<StoreId>, BlobError> {
+        let key = self.0.bucket.key(OWNER);
+        let mut bytes = Vec::new();
+        let read = self.0.bucket.get(&key, |piece| {
+            // A longer record is damaged; a part of it suffices for the error.
+            bytes.extend_from_slice(&piece[..piece.len().min(OWNER_BYTES - bytes.len())]);
+            Ok(())
+        });
+        match read {
+            Ok(()) => parse_owner(&bytes, Path::new(&self.0.bucket.at(&key))).map(Some),
+            Err(BlobError::Missing { .. }) => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
+
+    fn claim(&self, store: StoreId) -> Result<(), BlobError> {
+        let text = format!("{store}\n");
+        self.0.bucket.put(&self.0.bucket.key(OWNER), text.into_bytes().into())
     }
 
     fn direct(&self) -> Option<&dyn Direct> {
