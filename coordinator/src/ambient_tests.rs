@@ -64,6 +64,7 @@ fn of(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission
 fn worker() -> Introduction {
     Introduction {
         name: "a".to_owned(),
+        signature: "a".to_owned(),
         version: String::new(),
         instance: 0,
         profiles: vec![NO_PROFILE.to_owned()],
@@ -91,9 +92,9 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     assert!(matches!(refused(tile(4096, 0.5)), ResultError::Encoding(_)));
     assert!(matches!(refused(tile(4100, 1.5)), ResultError::Encoding(_)));
     assert!(matches!(refused(Openness { numbers: 2, ..tile(4100, 0.5) }), ResultError::Encoding(_)));
-    assert!(matches!(partial::so_far(&c, id), Err(partial::PartialError::Nothing(_))));
+    assert!(matches!(partial::so_far(&c, id, &|| false), Err(partial::PartialError::Nothing(_))));
     put(&c, &grants[0], &tile(4100, 0.5).encode().unwrap()).unwrap();
-    let so_far = Openness::of_result(&partial::so_far(&c, id).unwrap()).unwrap();
+    let so_far = Openness::of_result(&partial::so_far(&c, id, &|| false).unwrap()).unwrap();
     assert_eq!((so_far.points(), so_far.missing(), so_far.values[4099]), (4105, 5, 0.5));
     // The other one fails five times.
     let mut grant = grants[1].clone();
@@ -189,7 +190,7 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
     assert!(matches!(receivers::known(&c, &user("bob"), digest), Err(Fault::Unknown(_))));
     // They are kept as long as a job names them.
     let alone = |remove: &mut dyn FnMut()| remove();
-    keeping::sweep(&*c.store, &*c.blobs, Duration::ZERO, &alone).unwrap();
+    keeping::sweep(&*c.store, &*c.blobs, &|_, _| true, &alone).unwrap();
     assert!(c.blobs.has(&digest).unwrap());
     let lost = |c: &Coordinator| keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap().lost.len();
     assert_eq!(lost(&c), 0);

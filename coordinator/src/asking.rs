@@ -15,6 +15,11 @@ use crate::specs;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobRecord};
 
+/// Faces of the cube that is rendered around a viewpoint.
+const CUBE_FACES: u64 = 6;
+/// Maximum number of pixels of a measurement: seconds of one question, for which the others wait.
+const MAX_PIXELS: u64 = 100_000_000;
+
 /// A question without an answer.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum AskError {
@@ -104,6 +109,7 @@ pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::Que
     let (mut visible, mut undecided, mut names) = (Vec::new(), Vec::new(), Vec::new());
     if asked.objects {
         pvs.visible_objects(cell, &mut visible)?;
+        pvs.undecided_objects(cell, &mut undecided)?;
         let name = |id: &u32| pvs.objects().get(*id as usize).map_or_else(String::new, |o| o.name.clone());
         names = visible.iter().map(name).collect();
     } else {
@@ -121,8 +127,12 @@ pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::Que
     })
 }
 
-/// Why a triangle is visible or not. Takes long.
-pub(crate) fn why(c: &Coordinator, asked: &v1::WhyRequest) -> Result<v1::WhyResponse, AskError> {
+/// Computes why a triangle is visible or not. Stops when the asker `is_gone`.
+pub(crate) fn why(
+    c: &Coordinator,
+    asked: &v1::WhyRequest,
+    is_gone: &dyn Fn() -> bool,
+) -> Result<v1::WhyResponse, AskError> {
     use v1::why_request::From;
     let pvs = open(c, JobId(asked.job))?;
     let from = asked.from.ok_or_else(nowhere)?;
@@ -137,11 +147,15 @@ pub(crate) fn why(c: &Coordinator, asked: &v1::WhyRequest) -> Result<v1::WhyResp
         )));
     }
     let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?.why(&pvs, scene, cell, asked.triangle).map_err(AskError::Unable)
+    answers(c)?.why(&pvs, scene, (cell, asked.triangle), is_gone).map_err(AskError::Unable)
 }
 
-/// Wrong pixels. Takes long.
-pub(crate) fn measure(c: &Coordinator, asked: &v1::MeasureRequest) -> Result<v1::MeasureResponse, AskError> {
+/// Counts wrong pixels. Stops when the asker `is_gone`.
+pub(crate) fn measure(
+    c: &Coordinator,
+    asked: &v1::MeasureRequest,
+    is_gone: &dyn Fn() -> bool,
+) -> Result<v1::MeasureResponse, AskError> {
     let usual = |n: u32, usual: u32| if n == 0 { usual } else { n };
     let asked = v1::MeasureRequest {
         viewpoints: usual(asked.viewpoints, 100),
@@ -157,9 +171,17 @@ pub(crate) fn measure(c: &Coordinator, asked: &v1::MeasureRequest) -> Result<v1:
             asked.resolution
         )));
     }
+    let pixels = u64::from(asked.viewpoints) * CUBE_FACES * u64::from(asked.resolution).pow(2);
+    if pixels > MAX_PIXELS {
+        return Err(AskError::Wrong(format!(
+            "{} viewpoints at resolution {} have {pixels} pixels, and at most {MAX_PIXELS} are measured; \
+             ask for fewer viewpoints or a lower resolution",
+            asked.viewpoints, asked.resolution
+        )));
+    }
     let pvs = open(c, JobId(asked.job))?;
     let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?.measure(&pvs, scene, &asked).map_err(AskError::Unable)
+    answers(c)?.measure(&pvs, scene, &asked, is_gone).map_err(AskError::Unable)
 }
 
 fn answers(c: &Coordinator) -> Result<&dyn Answers, AskError> {

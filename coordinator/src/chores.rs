@@ -11,6 +11,7 @@ use crate::assemble::stand_in;
 use crate::chronicle::{Happening, Kind};
 use crate::finishing;
 use crate::invalidating;
+use crate::retention_stamp;
 use crate::scheduler::{Command, Event};
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
@@ -65,11 +66,15 @@ fn outcome(
     chores: &mut Vec<Chore>,
 ) -> Result<Option<Event>, StoreError> {
     let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
-    let at = c.now().unix_ms;
     match command {
         Command::Bind(id, profile) => Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?))),
         Command::Start(id) => {
-            let record = c.store.set_job_state(*id, &[JobPhase::Queued], JobState::Running, at)?;
+            let record = c.store.set_job_state(
+                *id,
+                &[JobPhase::Queued],
+                JobState::Running,
+                retention_stamp::end_time(c),
+            )?;
             c.happened(Happening::of_job(Kind::Job, *id, "the job is running"));
             changed(record)
         }
@@ -78,7 +83,17 @@ fn outcome(
             // What the tile failed on may be in them.
             c.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
-            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason }))
+            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, died: false }))
+        }
+        // The next leader continues with the outcomes of a dead one.
+        Command::CountDeath { job, tile, worker, reason } => {
+            let on = c.store.count_death(*job, *tile, worker, reason)?;
+            let reason = reason.clone();
+            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, died: true }))
+        }
+        Command::CancelDeath { job, tile, worker, reason } => {
+            c.store.forget_failure(*job, *tile, worker, reason)?;
+            Ok(None)
         }
         Command::SetAside { job, work, tiles, reason } => {
             for &tile in tiles {
@@ -108,7 +123,7 @@ fn outcome(
             Ok(None)
         }
         Command::Confirm { job, tile, digest, worker } => {
-            let check = TileCheck { worker: worker.clone(), at_ms: at };
+            let check = TileCheck { worker: worker.clone(), at_ms: c.now().unix_ms };
             c.store.confirm_tile(*job, *tile, *digest, check)?;
             Ok(None)
         }
@@ -120,6 +135,7 @@ fn outcome(
             // Submitted again, the job begins from nothing.
             c.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed { reason: reason.clone() };
+            let at = retention_stamp::end_time(c);
             let record = c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
             c.happened(Happening::of_job(Kind::Job, *id, format!("the job has failed: {reason}")));
             changed(record)

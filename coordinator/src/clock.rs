@@ -48,6 +48,14 @@ impl ManualClock {
     }
 }
 
+impl ManualClock {
+    /// Steps the wall clock by `by_ms`, forward or back. The monotonic clock does not step.
+    pub fn step(&self, by_ms: i64) {
+        let mut now = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        now.unix_ms = now.unix_ms.saturating_add_signed(by_ms);
+    }
+}
+
 impl Clock for ManualClock {
     fn now(&self) -> Moment {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)

@@ -2,8 +2,6 @@
 
 use std::time::Instant;
 
-use sightline_model::codec::MAX_UNPACKED;
-
 use crate::ids::Digest;
 use crate::state::Coordinator;
 use crate::store::{Address, BlobError, Staged};
@@ -28,13 +26,14 @@ pub(crate) fn reading(c: &Coordinator, digest: &Digest, bytes: u64) -> Option<Ad
     }
 }
 
-/// Where the holder of a lease writes its output; `None` where that goes through the coordinator.
+/// Where the holder of a lease writes its output of at most `most` bytes; `None` where that goes through the
+/// coordinator.
 ///
 /// # Errors
 /// When the store has no keys to sign with.
-pub(crate) fn writing(c: &Coordinator, staged: &Staged) -> Result<Option<Address>, BlobError> {
+pub(crate) fn writing(c: &Coordinator, staged: &Staged, most: u64) -> Result<Option<Address>, BlobError> {
     let Some(direct) = c.blobs.direct() else { return Ok(None) };
-    if staged.bytes > MAX_UNPACKED || !c.lock().machine.is_leased(&staged.lease) {
+    if staged.bytes > most || !c.lock().machine.is_leased(&staged.lease) {
         return Ok(None);
     }
     let address = direct.writing(staged)?;

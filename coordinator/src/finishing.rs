@@ -12,6 +12,7 @@ use crate::chronicle::{Happening, Kind};
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::invalidating;
 use crate::lost;
+use crate::retention_stamp;
 use crate::scheduler::{Event, Output};
 use crate::scheduling::{Chore, tell};
 use crate::state::{Coordinator, Lacks};
@@ -52,9 +53,9 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
             Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
         }
     };
-    let now = c.now().unix_ms;
     // Until the machine has heard of the end.
     let turn = c.turn();
+    let now = retention_stamp::end_time(c);
     // Tiles may have been opened again, or computed again, while the result was assembled.
     let now_there =
         c.lock().machine.job(id).map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());

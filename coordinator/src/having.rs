@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use crate::limits::{Beyond, Quota, Usage, usage};
 use crate::state::Coordinator;
 use crate::store::StoreError;
+use crate::uploads::MAX_CHUNKS;
 
 /// How old the count may be to which a chunk is added.
 const COUNTED_EVERY: Duration = Duration::from_secs(2);
@@ -37,9 +38,15 @@ pub(crate) fn may_have(c: &Coordinator, owner: &str, more: Usage, known: u64) ->
     decide(c, owner, more, known, Duration::ZERO)
 }
 
-/// Whether an owner may send another chunk of this length. What the owner has is counted again after a while
-/// alone.
+/// Checks that an owner may send another chunk of this length. The owner's usage is counted again after two
+/// seconds. Chunks are limited in number, too.
 pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), HavingError> {
+    if !c.uploads.has_room(owner) {
+        let (user, most) = (owner.to_owned(), MAX_CHUNKS as u64);
+        let beyond = Beyond::Quota { user, what: "chunks that are no scene yet", most, wanted: most + 1 };
+        c.metrics.refused(beyond.name());
+        return Err(beyond.into());
+    }
     decide(c, owner, Usage { bytes, ..Usage::default() }, 0, COUNTED_EVERY)
 }
 
@@ -60,7 +67,8 @@ fn decide(c: &Coordinator, owner: &str, more: Usage, known: u64, old: Duration) 
             }
         }
     };
-    let chunks = Usage { bytes: c.uploads.bytes(owner).saturating_sub(known), ..Usage::default() };
+    let sent = c.uploads.bytes(owner).saturating_add(c.unfinished.of(owner));
+    let chunks = Usage { bytes: sent.saturating_sub(known), ..Usage::default() };
     let within = has.and(chunks).and(more).within(&quota, owner);
     Ok(within.inspect_err(|beyond| c.metrics.refused(beyond.name()))?)
 }

@@ -59,6 +59,26 @@ pub struct Lease {
     pub id: LeaseId,
 }
 
+/// A worker's identity, in addition to its name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct WorkerIdentity(pub(crate) u64);
+
+/// The separator between the name and the identity of a worker.
+const SEPARATOR: char = '#';
+
+/// Returns the signature of a worker, its name with its identity: `NAME#0123456789abcdef`.
+pub(crate) fn signature(name: &str, WorkerIdentity(number): WorkerIdentity) -> String {
+    format!("{name}{SEPARATOR}{number:016x}")
+}
+
+/// Returns the name within a signature. A text without an identity is a name.
+pub(crate) fn worker_name(signature: &str) -> &str {
+    match signature.rsplit_once(SEPARATOR) {
+        Some((name, id)) if id.len() == 16 && id.bytes().all(|b| b.is_ascii_hexdigit()) => name,
+        _ => signature,
+    }
+}
+
 impl fmt::Display for JobId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.0.fmt(f)
@@ -74,5 +94,19 @@ impl fmt::Display for TileIndex {
 impl From<u64> for JobId {
     fn from(number: u64) -> Self {
         Self(number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signature_contains_name() {
+        let signed = signature("a#b", WorkerIdentity(0x1f));
+        assert_eq!(signed, "a#b#000000000000001f");
+        assert_eq!(worker_name(&signed), "a#b");
+        assert_eq!(worker_name("ada"), "ada");
+        assert_eq!(worker_name("a#b"), "a#b");
     }
 }

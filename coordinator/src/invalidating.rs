@@ -5,11 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{JobId, TileIndex};
+use crate::retention_stamp;
 use crate::scheduler::{Event, Job};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobRecord, QuarantineRecord, StoreError, TileRecord, TileState};
+use crate::store::{JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState};
 
 /// Which results are meant.
 #[derive(Clone, Debug, Default)]
@@ -44,19 +45,10 @@ pub(crate) fn condemn(
     reason: &str,
     chores: &mut Vec<Chore>,
 ) -> Result<(), StoreError> {
-    let agreed = agreements(c, workers)?;
     // The quarantine is recorded last: after a crash before that the worker is only found once more.
-    for worker in workers {
-        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
-        let which = Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() };
-        invalidate(c, &which, chores)?;
-    }
-    if let Some((job, tile)) = condemned {
-        let which = Which { job: Some(job), tiles: [tile].into(), to_ms: u64::MAX, ..Which::default() };
-        match invalidate(c, &which, chores) {
-            // The job was deleted meanwhile.
-            Ok(_) | Err(StoreError::UnknownJob { .. }) => {}
-            Err(e) => return Err(e),
+    for (job, tiles) in unbelieved(&*c.store, workers, condemned)? {
+        if let Some(record) = c.store.job(job)? {
+            open_again(c, record, tiles, true, chores)?;
         }
     }
     // Phases of open tiles that they may have computed are computed again, too.
@@ -77,12 +69,41 @@ pub(crate) fn condemn(
     Ok(())
 }
 
+/// Returns the done tiles of each job that are computed again when these workers are quarantined: the tiles
+/// since their last confirmed tile, and the condemned tile.
+pub(crate) fn unbelieved(
+    store: &dyn Store,
+    workers: &[String],
+    condemned: Option<(JobId, TileIndex)>,
+) -> Result<BTreeMap<JobId, BTreeSet<TileIndex>>, StoreError> {
+    let agreed = agreements(store, workers)?;
+    let of_worker = |worker: &String| {
+        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
+        Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() }
+    };
+    let all: Vec<Which> = workers.iter().map(of_worker).collect();
+    let mut unbelieved = BTreeMap::new();
+    for job in store.jobs()? {
+        let is_done = |tile: &TileRecord| matches!(tile.state, TileState::Done { .. });
+        let is_meant = |tile: &TileRecord| {
+            all.iter().any(|which| which.means(tile))
+                || is_done(tile) && condemned == Some((job.id, tile.tile))
+        };
+        let tiles = store.tiles(job.id)?;
+        let tiles: BTreeSet<TileIndex> = tiles.iter().filter(|t| is_meant(t)).map(|t| t.tile).collect();
+        if !tiles.is_empty() {
+            unbelieved.insert(job.id, tiles);
+        }
+    }
+    Ok(unbelieved)
+}
+
 /// When each of these workers was last known to be right: when it committed a tile that another one has
 /// confirmed, or confirmed one itself.
-fn agreements(c: &Coordinator, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
+fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
     let mut last: BTreeMap<String, u64> = BTreeMap::new();
-    for job in c.store.jobs()? {
-        for tile in c.store.tiles(job.id)? {
+    for job in store.jobs()? {
+        for tile in store.tiles(job.id)? {
             let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else { continue };
             for worker in workers {
                 let at = if check.worker == *worker {
@@ -195,7 +216,7 @@ fn open_again(
         Err(reason) => {
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
             let failed = crate::store::JobState::Failed { reason };
-            let record = c.store.set_job_state(id, &from, failed, c.now().unix_ms)?;
+            let record = c.store.set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
             chores.extend(tell(c, Event::JobChanged(Box::new(record))));
         }
     }

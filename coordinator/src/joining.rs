@@ -1,12 +1,21 @@
 //! Stored chunks that become one blob: a scene, or receivers.
 
+use std::collections::BTreeMap;
+
 use sightline_model::receivers::ReceiversError;
+use sightline_proto::chunks::CHUNK_BYTES;
 use sightline_scene::SceneError;
 
 use crate::having::HavingError;
 use crate::ids::Digest;
 use crate::state::Coordinator;
 use crate::store::{BlobError, StoreError};
+
+/// Maximum ratio of the bytes of a list of chunks and of the bytes that were sent for it. A scene repeats a
+/// chunk where its bytes are equal for megabytes, which is the case for few of them.
+const MAX_COPIES: u64 = 16;
+/// Bytes of a list that may repeat a chunk as it likes.
+const FEW_BYTES: u64 = 64 << 20;
 
 /// An upload that does not become a scene, or receivers.
 #[derive(Debug, thiserror::Error)]
@@ -32,6 +41,27 @@ pub(crate) enum UploadError {
         /// Bytes of all chunks of the list.
         bytes: u64,
         /// Most that are taken.
+        most: u64,
+    },
+    /// A chunk is longer than a chunk may be.
+    #[error("a chunk of {bytes} bytes is in the list; chunks have at most {most}")]
+    LongChunk {
+        /// The length of the chunk.
+        bytes: u64,
+        /// The bound.
+        most: u64,
+    },
+    /// The list names the same chunks again and again.
+    #[error(
+        "the list makes {bytes} bytes of chunks that have {sent} together, and at most {most} times as many \
+         are accepted; send a scene without that many copies"
+    )]
+    Repeated {
+        /// Bytes of all chunks of the list.
+        bytes: u64,
+        /// Bytes of the chunks, each counted once.
+        sent: u64,
+        /// The bound of their ratio.
         most: u64,
     },
     /// The user may not have more.
@@ -67,26 +97,48 @@ pub(crate) fn here(
     }
 }
 
-/// Bytes of all chunks of a list that an owner may join. Whose whole it is need not have sent them again.
+/// The lengths of the chunks of a list, in bytes.
+pub(crate) struct ListBytes {
+    /// The bytes of all chunks of the list.
+    pub(crate) all: u64,
+    /// The bytes of the chunks, each counted once.
+    pub(crate) distinct: u64,
+}
+
+/// Returns the bytes of the chunks of a list that an owner may join. An owner of the whole need not have sent
+/// them again.
 pub(crate) fn announced(
     c: &Coordinator,
     owner: &str,
     owned: bool,
     chunks: &[Digest],
     most: u64,
-) -> Result<u64, UploadError> {
+) -> Result<ListBytes, UploadError> {
     if !owned && !chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
         return Err(UploadError::ChunkMissing);
     }
     // A list may name a chunk many times, so its length is looked at before anything is written.
+    let mut lengths = BTreeMap::new();
     let mut bytes: u64 = 0;
     for chunk in chunks {
-        bytes = bytes.saturating_add(c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?);
+        let length = match lengths.get(chunk) {
+            Some(length) => *length,
+            None => c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?,
+        };
+        if length > CHUNK_BYTES as u64 {
+            return Err(UploadError::LongChunk { bytes: length, most: CHUNK_BYTES as u64 });
+        }
+        lengths.insert(*chunk, length);
+        bytes = bytes.saturating_add(length);
     }
     if bytes > most {
         return Err(UploadError::TooLong { bytes, most });
     }
-    Ok(bytes)
+    let sent: u64 = lengths.values().sum();
+    if bytes > sent.saturating_mul(MAX_COPIES).max(FEW_BYTES) {
+        return Err(UploadError::Repeated { bytes, sent, most: MAX_COPIES });
+    }
+    Ok(ListBytes { all: bytes, distinct: sent })
 }
 
 /// A whole of chunks.

@@ -2,7 +2,7 @@
 //! not in use.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::specs;
@@ -73,19 +73,18 @@ fn outputs(store: &dyn Store, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)
     Ok(outputs)
 }
 
-/// Removes the blobs that nobody needs and that were written or put longer than `grace` ago; returns how
-/// many, and their bytes. `alone` runs a removal while nobody begins to need a blob.
+/// Removes the blobs that no record names and whose time `is_old`; returns how many, and their bytes. `alone`
+/// runs a removal while no other thread begins to need a blob.
 pub(crate) fn sweep(
     store: &dyn Store,
     blobs: &dyn Blobs,
-    grace: Duration,
+    is_old: &dyn Fn(&Digest, SystemTime) -> bool,
     alone: &dyn Fn(&mut dyn FnMut()),
 ) -> Result<(u64, u64), KeepingError> {
-    let is_old = |written: SystemTime| written.elapsed().is_ok_and(|age| age >= grace);
     let needed = needed(store)?;
     let mut old = BTreeMap::new();
     blobs.visit(&mut |stored| {
-        if is_old(stored.written) && !needed.contains_key(&stored.digest) {
+        if !needed.contains_key(&stored.digest) && is_old(&stored.digest, stored.written) {
             old.insert(stored.digest, stored.bytes);
         }
         true
@@ -96,7 +95,7 @@ pub(crate) fn sweep(
         alone(&mut || {
             // Whoever has put it again since is going to name it.
             removed = match blobs.written(&digest) {
-                Ok(Some(written)) if is_old(written) => blobs.remove(&digest),
+                Ok(Some(written)) if is_old(&digest, written) => blobs.remove(&digest),
                 Ok(_) => Ok(false),
                 Err(e) => Err(e),
             };

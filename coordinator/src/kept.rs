@@ -11,13 +11,19 @@ use crate::ids::{Digest, JobId};
 
 /// Answers that need the scene.
 pub trait Answers: Send + Sync {
-    /// Why a triangle is visible from a cell or not.
+    /// Computes why a triangle is visible from a cell or not. Stops when the asker `is_gone`.
     ///
     /// # Errors
     /// A sentence, when the result or the scene does not allow it.
-    fn why(&self, pvs: &Pvs, scene: Scene, cell: u32, triangle: u32) -> Result<v1::WhyResponse, String>;
+    fn why(
+        &self,
+        pvs: &Pvs,
+        scene: Scene,
+        cell_and_triangle: (u32, u32),
+        is_gone: &dyn Fn() -> bool,
+    ) -> Result<v1::WhyResponse, String>;
 
-    /// The wrong pixels from so many viewpoints.
+    /// Counts the wrong pixels from the given number of viewpoints. Stops when the asker `is_gone`.
     ///
     /// # Errors
     /// A sentence, when nothing can be rendered.
@@ -26,16 +32,18 @@ pub trait Answers: Send + Sync {
         pvs: &Pvs,
         scene: Scene,
         asked: &v1::MeasureRequest,
+        is_gone: &dyn Fn() -> bool,
     ) -> Result<v1::MeasureResponse, String>;
 }
 
 /// How long things are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Retention {
-    /// Jobs that ended longer ago are deleted, with their results; then scenes that no job names. `None`
-    /// keeps them.
+    /// The age from which on ended jobs are deleted, with their results; then scenes that no job names.
+    /// `None` keeps them.
     pub keep: Option<Duration>,
-    /// While results and scenes have more bytes, the job that ended first is deleted. `None` is no bound.
+    /// The bound of the bytes of results and scenes, above which ended jobs are deleted, the lowest
+    /// number first. `None` sets no bound.
     pub keep_bytes: Option<u64>,
     /// A blob that nobody needs is removed this long after it was written.
     pub grace: Duration,

@@ -36,6 +36,8 @@ mod direct;
 mod estimate;
 mod finishing;
 mod found;
+#[doc(hidden)]
+pub mod fuzzing;
 mod having;
 mod housekeeping;
 pub mod ids;
@@ -44,6 +46,7 @@ mod jobs;
 mod joining;
 pub mod keeping;
 mod kept;
+mod lease_tags;
 mod lifecycle;
 mod limits;
 #[cfg(test)]
@@ -52,11 +55,14 @@ mod lost;
 mod metrics;
 mod openness;
 mod orders;
+pub mod ownership;
 mod partial;
 mod readiness;
 mod receivers;
 mod releasing;
 mod results;
+mod retention_clock;
+mod retention_stamp;
 mod scene_files;
 mod scenes;
 mod scheduler;
@@ -65,6 +71,7 @@ mod services;
 mod sessions;
 mod spans;
 mod specs;
+mod spool;
 mod staging;
 mod state;
 mod statistics;
@@ -73,11 +80,14 @@ mod submit;
 mod tiles;
 mod turning;
 mod uploads;
+mod worker_identity;
 
 #[cfg(test)]
 mod ambient_tests;
 #[cfg(test)]
 mod reopening_tests;
+#[cfg(test)]
+mod retention_tests;
 #[cfg(test)]
 mod simulator;
 #[cfg(test)]
@@ -92,6 +102,7 @@ pub use lifecycle::{Config, OpenError};
 pub use limits::{Quota, QuotaError, Quotas, bytes};
 pub use scenes::TakeError;
 pub use services::{
-    Front, Probed, ReplicaError, ServeError, Tls, TlsError, TlsFiles, listen, serve, serve_http, serve_probes,
+    ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError, ServeError, Tls,
+    TlsError, TlsFiles, serve, serve_http, serve_probes,
 };
 pub use state::{Coordinator, Leases};

@@ -8,8 +8,12 @@ use crate::chronicle::{Chronicle, Happening, Kind};
 use crate::clock::{Clock, SystemClock};
 use crate::crews::Crews;
 use crate::ids::{Epoch, JobId};
+use crate::keeping::KeepingError;
 use crate::kept::Retention;
 use crate::limits::Quotas;
+use crate::ownership;
+use crate::retention_clock::{Ages, RetentionClock};
+use crate::retention_stamp;
 use crate::scheduler::{Event, Job, Machine, Settings};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
@@ -61,6 +65,20 @@ impl Config {
     }
 }
 
+impl Config {
+    /// Opens the blobs for reading only. Copies of objects of a bucket go into the folder `copies`.
+    ///
+    /// # Errors
+    /// [`BlobError`] when the place cannot be used.
+    pub fn inspect_blobs(&self, copies: &Path) -> Result<Box<dyn Blobs>, BlobError> {
+        Ok(match &self.blobs {
+            None => Box::new(FileBlobs::inspect(&self.data_dir.join("blobs"))?),
+            Some(BlobPlace::Directory(directory)) => Box::new(FileBlobs::inspect(directory)?),
+            Some(BlobPlace::Bucket(place)) => Box::new(ObjectBlobs::open(place, copies)?),
+        })
+    }
+}
+
 /// A coordinator that cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
@@ -70,6 +88,15 @@ pub enum OpenError {
     /// The blobs failed.
     #[error(transparent)]
     Blobs(#[from] BlobError),
+}
+
+impl From<KeepingError> for OpenError {
+    fn from(error: KeepingError) -> Self {
+        match error {
+            KeepingError::Store(e) => Self::Store(e),
+            KeepingError::Blob(e) => Self::Blobs(e),
+        }
+    }
 }
 
 impl Coordinator {
@@ -122,11 +149,23 @@ impl Coordinator {
         (outcomes, chronicle, config): (Outcomes, Chronicle, Option<(PathBuf, Quotas, Retention)>),
     ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
+        // An empty blob store receives the store's name before the first blob.
+        if let Some(refusal) = ownership::check(&*store, &*blobs)?.refusal() {
+            tracing::warn!("{refusal}");
+        }
+        // Before any end of a job is recorded.
+        let started = clock.now();
+        let retention = config.as_ref().map_or_else(Retention::default, |(.., retention)| *retention);
+        let ages = Ages { jobs: retention.keep, blobs: Some(retention.grace) };
+        let mut retention_clock = RetentionClock::new(store.retention_stamp()?, ages, started);
+        let stamp = retention_clock.stamp(started);
+        store.stamp_retention(stamp)?;
+        retention_clock.recorded(&stamp);
         let settings = Settings {
             epoch,
             ttl: leases.ttl.as_millis() as u64,
             stuck: leases.stuck.as_millis() as u64,
-            seed: clock.now().unix_ms,
+            seed: started.unix_ms,
             spot_check: leases.spot_check,
             spot_seed: spot_seed(leases.spot_check)?,
         };
@@ -150,7 +189,7 @@ impl Coordinator {
                         // The job ends, so that submitting it again begins a new one.
                         tracing::error!("job {id} cannot be continued: {reason}");
                         let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-                        store.set_job_state(id, &from, JobState::Failed { reason }, clock.now().unix_ms)?;
+                        store.set_job_state(id, &from, JobState::Failed { reason }, started.unix_ms)?;
                     }
                 }
             }
@@ -160,15 +199,18 @@ impl Coordinator {
         outcomes.sweep(|job| trusted && jobs.iter().any(|j: &Job| j.record.id == job));
         let crews = Crews::new(outcomes);
         let kept = (crews, chronicle);
-        let mut this = Self::of(leases, store, blobs, clock, kept, Machine::new(settings));
+        let identity = store.identity()?;
+        let mut this = Self::of(leases, &identity, store, blobs, clock, kept, Machine::new(settings));
         if let Some((data_dir, quotas, retention)) = config {
             (this.data_dir, this.quotas, this.retention) = (Some(data_dir), quotas, retention);
         }
+        this.continue_retention(retention_clock);
         this.store.report_syncs(this.metrics.syncs());
         let this = Arc::new(this);
         let version = env!("CARGO_PKG_VERSION");
         let text = format!("the coordinator starts, version {version}; jobs to go on with: {}", jobs.len());
         this.happened(Happening::of(Kind::Coordinator, text));
+        retention_stamp::report(&this);
         for quarantined in this.store.quarantined()? {
             happened(&this, Event::Quarantined(quarantined.worker));
         }

@@ -157,6 +157,7 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
     let profiles = vec!["cpu/test".to_owned()];
     let intro = Introduction {
         name: format!("w{w}"),
+        signature: format!("w{w}"),
         version: String::new(),
         instance: w + 1,
         profiles,

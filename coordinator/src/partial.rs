@@ -1,5 +1,6 @@
 //! A result of what is done of a job: cells that are not done show everything, as undecided.
 
+use std::io::{self, Write};
 use std::sync::{Arc, PoisonError};
 
 use crate::assemble::{AssembleError, Parts, write};
@@ -19,6 +20,9 @@ pub(crate) enum PartialError {
     /// It ended while this was made.
     #[error("job {0} has ended or changed meanwhile; ask again")]
     Changed(JobId),
+    /// The asker has gone.
+    #[error("the caller no longer waits for the result")]
+    Gone,
     /// Another version of the program began the job.
     #[error("{0}")]
     Outdated(String),
@@ -33,8 +37,32 @@ pub(crate) enum PartialError {
     Assemble(#[from] AssembleError),
 }
 
-/// The result of what is done of a job; the result itself once it is done. One is made at a time.
-pub(crate) fn so_far(c: &Coordinator, id: JobId) -> Result<Arc<[u8]>, PartialError> {
+/// A file in memory whose writing ends when the caller has gone.
+struct WhileAsked<'a> {
+    bytes: Vec<u8>,
+    is_gone: &'a dyn Fn() -> bool,
+}
+
+impl Write for WhileAsked<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if (self.is_gone)() {
+            return Err(io::Error::other("the caller has gone"));
+        }
+        self.bytes.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Makes the partial result of a job, or reads the result of a job that is done. One partial result is made
+/// at a time. Stops when the asker `is_gone`.
+pub(crate) fn so_far(
+    c: &Coordinator,
+    id: JobId,
+    is_gone: &dyn Fn() -> bool,
+) -> Result<Arc<[u8]>, PartialError> {
     let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
     if let JobState::Done { result, .. } = record.state {
         return Ok(c.blobs.read(&result)?.into());
@@ -52,13 +80,16 @@ pub(crate) fn so_far(c: &Coordinator, id: JobId) -> Result<Arc<[u8]>, PartialErr
         return Ok(Arc::clone(&made.bytes));
     }
     let parts = Parts { work: Arc::clone(&job.work), profile, outputs, samples: job.samples };
-    let mut bytes = Vec::new();
-    if let Err(e) = write(c, &parts, &mut bytes) {
+    let mut made = WhileAsked { bytes: Vec::new(), is_gone };
+    if let Err(e) = write(c, &parts, &mut made) {
+        if is_gone() {
+            return Err(PartialError::Gone);
+        }
         // The job may have ended meanwhile, and its tiles' outputs be in its result.
         let ended = c.store.job(id)?.is_none_or(|job| job.state.phase().ended());
         return Err(if ended { PartialError::Changed(id) } else { e.into() });
     }
-    let bytes: Arc<[u8]> = bytes.into();
+    let bytes: Arc<[u8]> = made.bytes.into();
     last.0 = Some(Made { job: id, of: names, bytes: Arc::clone(&bytes) });
     Ok(bytes)
 }

@@ -12,7 +12,7 @@ use sightline_model::receivers::{self, MOST_BYTES, ReceiversError};
 use crate::access::Caller;
 use crate::having::{may_have, turn_of};
 use crate::ids::Digest;
-use crate::joining::{UploadError, announced, forget_chunks, here, join};
+use crate::joining::{ListBytes, UploadError, announced, forget_chunks, here, join};
 use crate::limits::Usage;
 use crate::specs;
 use crate::state::{Coordinator, StoredReceivers};
@@ -63,10 +63,10 @@ pub(crate) fn put(
     if owned && let Some(bytes) = here(c, whole, chunks)? {
         return Ok(remember(c, whole, &bytes)?);
     }
-    let bytes = announced(c, owner, owned, chunks, MOST_BYTES)?;
+    let ListBytes { all: bytes, distinct } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     // As chunks they count already.
-    may_have(c, owner, Usage { bytes, ..Usage::default() }, bytes)?;
+    may_have(c, owner, Usage { bytes, ..Usage::default() }, distinct)?;
     let joined = join(c, whole, chunks)?;
     let stored = remember(c, whole, &joined.bytes).inspect_err(|_| joined.discard(c, owner, chunks))?;
     let new = forget_chunks(c, owner, whole, chunks);
@@ -104,8 +104,10 @@ fn remember(c: &Coordinator, digest: Digest, bytes: &[u8]) -> Result<StoredRecei
 /// Makes sure that receivers stay until the job that names them is recorded. The caller holds the turn.
 pub(crate) fn hold(c: &Coordinator, digest: Digest) -> Result<(), Fault> {
     let written = c.blobs.written(&digest)?.ok_or(Fault::Unknown(digest))?;
-    if written.elapsed().is_ok_and(|age| age >= OLD) {
-        c.blobs.put(&c.blobs.read(&digest)?)?;
+    // A time in the future is wrong, and can become old at any moment.
+    if written.elapsed().is_ok_and(|age| age < OLD) {
+        return Ok(());
     }
+    c.blobs.put(&c.blobs.read(&digest)?)?;
     Ok(())
 }

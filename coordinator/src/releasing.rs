@@ -4,18 +4,28 @@ use std::sync::Arc;
 
 use crate::chores::happened;
 use crate::chronicle::{Happening, Kind};
+use crate::ids::worker_name;
 use crate::scheduler::Event;
 use crate::state::Coordinator;
 use crate::store::StoreError;
 
-/// Lets a quarantined worker work again; returns whether it was quarantined.
+/// Lets quarantined workers work again: the one with this signature, or all with this name. Returns whether
+/// any was quarantined.
+///
+/// # Errors
+/// The store's.
 pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
-    let was = c.store.release(worker)?;
-    if was {
-        let text = format!("worker {worker} may work again");
-        tracing::warn!("{text}");
-        c.happened(Happening::of(Kind::Worker, text).on(worker));
-        happened(c, Event::Released(worker.to_owned()));
+    let is_meant = |signature: &str| signature == worker || worker_name(signature) == worker;
+    let quarantined = c.store.quarantined()?.into_iter().map(|record| record.worker);
+    let mut any = false;
+    for signature in quarantined.filter(|signature| is_meant(signature)) {
+        if c.store.release(&signature)? {
+            let text = format!("worker {signature} may work again");
+            tracing::warn!("{text}");
+            c.happened(Happening::of(Kind::Worker, text).on(&signature));
+            happened(c, Event::Released(signature));
+            any = true;
+        }
     }
-    Ok(was)
+    Ok(any)
 }

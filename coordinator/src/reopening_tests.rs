@@ -90,7 +90,7 @@ fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     let chores = tell(&c, Event::TakenUp(Box::new(job)));
     drop(opening);
     let answer = thread.join().unwrap();
-    assert!(matches!(answer, Err(ResultError::NoLease)), "{answer:?}");
+    assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
     do_chores(&c, chores);
     assert_eq!([0, 1].map(|tile| is_done(&c, id, tile)), [false, false]);
 }
@@ -104,7 +104,7 @@ fn a_late_output_is_no_conflict_with_the_one_that_was_computed_again() {
     assert_eq!(again.lease.tile, late.lease.tile);
     put(&c, &again, &output(&again, &[0])).unwrap();
     let answer = put(&c, &late, &output(&late, &[]));
-    assert!(matches!(answer, Err(ResultError::NoLease)), "{answer:?}");
+    assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
     assert_eq!(c.store.tile(id, late.lease.tile).unwrap().conflicts, 0);
 }
 
@@ -120,6 +120,7 @@ fn kept(c: &Arc<Coordinator>, held: Vec<Lease>) -> Vec<Lease> {
     let profiles = vec!["cpu/test".to_owned()];
     let intro = Introduction {
         name: "ada".to_owned(),
+        signature: "ada".to_owned(),
         version: String::new(),
         instance: 0,
         profiles,
@@ -146,11 +147,11 @@ fn after_a_restart_a_lease_counts_unless_tiles_were_opened_again_since() {
             answer.unwrap();
             continue;
         }
-        assert!(matches!(answer, Err(ResultError::NoLease)), "{answer:?}");
+        assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
         assert!(!is_done(&c, id, 0));
         // The next start knows it, too.
         let c = restarted(c);
         let answer = put(&c, &grant, &output(&grant, &[]));
-        assert!(matches!(answer, Err(ResultError::NoLease)), "{answer:?}");
+        assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
     }
 }

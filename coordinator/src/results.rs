@@ -14,17 +14,25 @@ use crate::chores::do_chores;
 use crate::chronicle::{Happening, Kind};
 use crate::direct;
 use crate::ids::{Digest, JobId, Lease, hex};
+use crate::limits::Sender;
 use crate::openness::{self, AnswerError};
 use crate::scheduler::{Admitted, Event, NoTile, Work};
 use crate::scheduling::{Chore, tell};
 use crate::spans;
+use crate::spool::{Spool, SpoolError};
 use crate::state::Coordinator;
-use crate::store::{BlobError, CommitOutcome, MAX_HELPERS, Staged, StoreError, TileResult, TileStats};
+use crate::store::{
+    Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult, TileStats,
+};
 
 /// What a cell has besides its set, at most.
 const LEAST_UNPACKED: u64 = 4096;
+/// Maximum size of an output that is checked while others are, packed and unpacked, in bytes. Larger ones are
+/// checked one at a time.
+pub(crate) const MAX_LIGHT: u64 = 8 << 20;
 
 /// A tile's output as a worker announces it.
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Announced {
     /// The lease under which it was computed.
     pub(crate) lease: Lease,
@@ -55,6 +63,20 @@ pub(crate) enum ResultError {
     /// The bytes do not have the announced length.
     #[error("the result has another length than announced")]
     Length,
+    /// The announced length is more than the tile's output can have.
+    #[error("{announced} bytes were announced; an output of this tile has at most {most}")]
+    TooLong {
+        /// The announced length.
+        announced: u64,
+        /// The bound.
+        most: u64,
+    },
+    /// The chunks differ from the announced ones, or there is no room for them.
+    #[error(transparent)]
+    Spool(SpoolError),
+    /// The output unpacks to much, so that it is checked when no other large one is.
+    #[error("the output is large and was not checked yet")]
+    Large,
     /// The worker has not written the output, or another one.
     #[error("the output is not where it was to be written ({0}); send it")]
     Unstaged(String),
@@ -64,9 +86,13 @@ pub(crate) enum ResultError {
     /// The job has fewer tiles.
     #[error("the job has no such tile")]
     NoTile,
-    /// The tile was not leased under this number.
-    #[error("this tile was not leased to anybody under this number")]
-    NoLease,
+    /// The lease does not count.
+    #[error(
+        "the lease {} of tile {} of job {} in epoch {} does not count: it was not given, or it has ended, or \
+         its worker is quarantined",
+        .0.id.number, .0.tile, .0.job, .0.id.epoch.0
+    )]
+    NoLease(Lease),
     /// The bytes are not an encoded output.
     #[error("{0}")]
     Encoding(String),
@@ -111,20 +137,96 @@ impl From<NoTile> for ResultError {
     }
 }
 
+impl From<SpoolError> for ResultError {
+    fn from(e: SpoolError) -> Self {
+        match e {
+            SpoolError::Length { .. } => Self::Length,
+            SpoolError::Blob(e) => Self::Blob(e),
+            e => Self::Spool(e),
+        }
+    }
+}
+
+/// The outputs that a check may unpack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Weight {
+    /// Outputs of at most [`MAX_LIGHT`] bytes; others are [`ResultError::Large`].
+    Light,
+    /// All of them. The caller holds the right to a large one.
+    Any,
+}
+
+/// Begins an output that arrives as chunks. Its lease and its length are checked before its first byte is
+/// kept.
+///
+/// # Errors
+/// [`ResultError`] when the lease was not given, the tile can have no output of this length, or unfinished
+/// uploads have too many bytes.
+pub(crate) fn begin(c: &Coordinator, announced: &Announced) -> Result<Spool, ResultError> {
+    let Admitted { work, counts, .. } = c.lock().machine.admit(&announced.lease)?;
+    if !counts {
+        return Err(ResultError::NoLease(announced.lease));
+    }
+    let most = most_packed(c, &work, announced.lease)?;
+    if announced.bytes > most {
+        return Err(ResultError::TooLong { announced: announced.bytes, most });
+    }
+    Ok(Spool::begin(c, Sender::Worker, announced.bytes)?)
+}
+
+/// Returns where the holder of a lease writes its output; `None` where that goes through the coordinator. It
+/// names the fault of an output that it rejects.
+///
+/// # Errors
+/// When the store has no keys to sign with.
+pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address>, BlobError> {
+    let admitted = c.lock().machine.admit(&staged.lease);
+    let most = admitted.ok().and_then(|admitted| most_packed(c, &admitted.work, staged.lease).ok());
+    most.map_or(Ok(None), |most| direct::writing(c, staged, most))
+}
+
+/// Returns the maximum length of a tile's output before it is unpacked. Packing adds little to bytes that it
+/// cannot shorten.
+fn most_packed(c: &Coordinator, work: &Work, lease: Lease) -> Result<u64, ResultError> {
+    let spec = &*work.spec;
+    if spec.ambient.is_some() {
+        return Ok(codec::MAX_UNPACKED);
+    }
+    let tile = work.plan.tiles.get(lease.tile.at()).ok_or(ResultError::NoTile)?;
+    let items = most_items_of(spec, c.store.scene(&spec.scene)?.as_ref(), tile.kind);
+    let unpacked = most_unpacked(spec, tile.cells, items, tile.kind != TileKind::Leaf);
+    Ok(packed(unpacked))
+}
+
+/// Returns the maximum length of an output that unpacks to so many bytes.
+fn packed(unpacked: u64) -> u64 {
+    unpacked.saturating_add(unpacked / 64).saturating_add(LEAST_UNPACKED).min(codec::MAX_UNPACKED)
+}
+
+/// Returns the number of items that an output of a kind can name.
+fn most_items_of(spec: &JobSpec, scene: Option<&SceneRecord>, kind: TileKind) -> u32 {
+    scene.map_or(0, |s| match kind {
+        TileKind::Leaf => most_items(spec, s.triangles, s.objects),
+        TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
+    })
+}
+
 /// Checks and commits a tile's output, then does what follows from it.
 pub(crate) fn put(
     c: &Arc<Coordinator>,
     announced: &Announced,
     origin: &Origin<'_>,
+    weight: Weight,
 ) -> Result<(), ResultError> {
     let begun = Instant::now();
     let (result, chores) = match origin {
-        Origin::Sent(bytes) => commit(c, announced, bytes, None)?,
+        Origin::Sent(bytes) => commit(c, announced, bytes, None, weight)?,
         Origin::Staged(staged) => {
-            let committed = fetch(c, staged).and_then(|bytes| commit(c, announced, &bytes, Some(staged)));
+            let committed =
+                fetch(c, staged).and_then(|bytes| commit(c, announced, &bytes, Some(staged), weight));
             let waits = |e: &ResultError| match e {
                 ResultError::Blob(e) => e.passes(),
-                ResultError::Store(_) => true,
+                ResultError::Store(_) | ResultError::Large => true,
                 _ => false,
             };
             // The worker names it again after what passes.
@@ -141,12 +243,14 @@ pub(crate) fn put(
 
 /// Reads an output that its worker has written into the store of the blobs.
 fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
-    if staged.bytes > codec::MAX_UNPACKED {
-        return Err(ResultError::Length);
+    // The coordinator reads no output that does not count, or is longer than its tile's can be.
+    let Admitted { work, counts, .. } = c.lock().machine.admit(&staged.lease)?;
+    if !counts {
+        return Err(ResultError::NoLease(staged.lease));
     }
-    // Nobody has the coordinator read what does not count.
-    if !c.lock().machine.admit(&staged.lease)?.counts {
-        return Err(ResultError::NoLease);
+    let most = most_packed(c, &work, staged.lease)?;
+    if staged.bytes > most {
+        return Err(ResultError::TooLong { announced: staged.bytes, most });
     }
     let none = || ResultError::Unstaged("this coordinator has given no address".to_owned());
     let direct = c.blobs.direct().ok_or_else(none)?;
@@ -158,7 +262,13 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
 
 /// The number of cells or receivers of a tile's output, which must be what the job's plan expects of the
 /// tile.
-fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> Result<u64, ResultError> {
+fn check(
+    c: &Coordinator,
+    work: &Work,
+    announced: &Announced,
+    bytes: &[u8],
+    weight: Weight,
+) -> Result<u64, ResultError> {
     if *blake3::hash(bytes).as_bytes() != announced.digest {
         return Err(ResultError::Digest);
     }
@@ -179,17 +289,17 @@ fn check(c: &Coordinator, work: &Work, announced: &Announced, bytes: &[u8]) -> R
     let kind = tile.kind;
     let scene = c.store.scene(&spec.scene)?;
     let expected = expected_nodes(&spec.division, &work.lattice, &tile.cell, tile.depth);
-    let items = scene.as_ref().map_or(0, |s| match kind {
-        TileKind::Leaf => most_items(spec, s.triangles, s.objects),
-        TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
-    });
+    let items = most_items_of(spec, scene.as_ref(), kind);
     let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
     let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
     let (exact, hits) = (spec.method != Method::Aggressive, spec.sampling.contributions);
     let is_pack = kind != TileKind::Leaf;
     let most = most_unpacked(spec, tile.cells, items, is_pack);
-    let output =
-        codec::check(bytes, items, is_pack, most).map_err(|e| ResultError::Encoding(e.to_string()))?;
+    let now = if weight == Weight::Light { most.min(MAX_LIGHT) } else { most };
+    let output = codec::check(bytes, items, is_pack, now).map_err(|e| match e {
+        e if e.is_too_large() && now < most => ResultError::Large,
+        e => ResultError::Encoding(e.to_string()),
+    })?;
     match (&output, kind) {
         (TileOutput::Cells(sets), TileKind::Leaf) => {
             if expected.is_some_and(|nodes| nodes != sets.nodes) {
@@ -269,14 +379,15 @@ fn commit(
     announced: &Announced,
     bytes: &[u8],
     staged: Option<&Staged>,
+    weight: Weight,
 ) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
     let begun = Begun::now();
     let &Announced { lease, digest, samples, millis, .. } = announced;
     let Lease { job: id, tile, .. } = lease;
     let Admitted { work, worker, profile, checks, counts, .. } = c.lock().machine.admit(&lease)?;
-    let cells = check(c, &work, announced, bytes)?;
+    let cells = check(c, &work, announced, bytes, weight)?;
     if !counts {
-        return Err(ResultError::NoLease);
+        return Err(ResultError::NoLease(lease));
     }
     if checks {
         // It is compared with what is kept, and not kept itself.
@@ -295,7 +406,7 @@ fn commit(
     // Nor opens tiles again. Until now somebody may have, with those that this one was computed from.
     let Admitted { helpers, counts, .. } = c.lock().machine.admit(&lease)?;
     if !counts {
-        return Err(ResultError::NoLease);
+        return Err(ResultError::NoLease(lease));
     }
     match (staged, c.blobs.direct()) {
         (Some(staged), Some(direct)) => direct.adopt(staged, &digest, bytes).inspect_err(full)?,
@@ -343,5 +454,17 @@ fn commit(
             chores.extend(tell(c, event));
             Ok((Err(ResultError::Conflict), chores))
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packed_output_is_little_longer_than_its_content() {
+        assert_eq!(packed(0), LEAST_UNPACKED);
+        assert_eq!(packed(6400), 6500 + LEAST_UNPACKED);
+        assert_eq!(packed(u64::MAX), codec::MAX_UNPACKED);
     }
 }

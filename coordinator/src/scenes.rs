@@ -7,7 +7,7 @@ use sightline_scene::{Aabb, Scene, SceneError};
 use crate::access::Caller;
 use crate::having::{HavingError, may_have, may_send, turn_of};
 use crate::ids::Digest;
-use crate::joining::{UploadError, announced, forget_chunks, here, join};
+use crate::joining::{ListBytes, UploadError, announced, forget_chunks, here, join};
 use crate::limits::Usage;
 use crate::metrics::Cache;
 use crate::state::{Coordinator, SceneFacts};
@@ -89,6 +89,25 @@ pub(crate) fn put_chunk(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Di
     Ok(digest)
 }
 
+/// Checks that an owner has sent the chunks of a new scene. Takes little time, so that the usual first
+/// question of a client waits for nothing.
+///
+/// # Errors
+/// [`UploadError::ChunkMissing`], or the store's errors.
+pub(crate) fn check_sent(
+    c: &Coordinator,
+    owner: &str,
+    whole: Digest,
+    chunks: &[Digest],
+) -> Result<(), UploadError> {
+    let known = c.store.scene(&whole)?;
+    let is_owned = known.is_some_and(|known| owner.is_empty() || known.owners.contains(owner));
+    match is_owned || chunks.iter().all(|chunk| c.uploads.has(owner, chunk)) {
+        true => Ok(()),
+        false => Err(UploadError::ChunkMissing),
+    }
+}
+
 /// Joins stored chunks to a scene, checks and records it, and removes the chunks.
 pub(crate) fn put_scene(
     c: &Coordinator,
@@ -103,13 +122,18 @@ pub(crate) fn put_scene(
     {
         return Ok(known);
     }
-    let bytes = announced(c, owner, owned, chunks, MOST_BYTES)?;
+    let ListBytes { all: bytes, distinct } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     if !owned {
-        may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, bytes)?;
+        may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, distinct)?;
     }
     let joined = join(c, whole, chunks)?;
-    let scene = Scene::from_blob("uploaded scene", &joined.bytes).map_err(|e| {
+    let name = "uploaded scene";
+    let checked = Scene::from_blob(name, &joined.bytes).and_then(|scene| {
+        scene.check_reach(name)?;
+        Ok(scene)
+    });
+    let scene = checked.map_err(|e| {
         joined.discard(c, owner, chunks);
         UploadError::Scene(e)
     })?;
@@ -179,7 +203,7 @@ mod tests {
     use crate::ids::Epoch;
     use crate::scheduler::{Machine, Settings};
     use crate::state::Leases;
-    use crate::store::{FileBlobs, MemoryStore, Outcomes};
+    use crate::store::{FileBlobs, MemoryStore, Outcomes, Store as _};
     use sightline_scene::Object;
 
     #[test]
@@ -187,12 +211,20 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let store = Box::new(MemoryStore::new());
+        let identity = store.identity().unwrap();
         let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1, spot_check: 0.0, spot_seed: 0 };
         let scheduler = Machine::new(settings);
         let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
-        let coordinator =
-            Coordinator::of(Leases::default(), store, boxed, clock, (crews, Chronicle::nowhere()), scheduler);
+        let coordinator = Coordinator::of(
+            Leases::default(),
+            &identity,
+            store,
+            boxed,
+            clock,
+            (crews, Chronicle::nowhere()),
+            scheduler,
+        );
         let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
         let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
         let scene = Scene::new("test", vec![triangle], objects).unwrap();

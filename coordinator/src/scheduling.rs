@@ -168,6 +168,13 @@ fn write(c: &Coordinator, note: &Note) {
             let text = format!("tile {tile} failed on {worker}: {reason}");
             Happening::of_lease(Kind::Failed, lease, text).on(worker)
         }
+        Note::Died(lease @ Lease { job, tile, .. }, worker) => {
+            c.metrics.worker_died();
+            c.spans.lease_ended(lease, spans::FAILED);
+            let text = format!("worker {worker} ended without a word while it held tile {tile}");
+            tracing::warn!("job {job}: {text}");
+            Happening::of_lease(Kind::Failed, lease, text).on(worker)
+        }
         Note::Agrees(job, tile, worker) => {
             c.metrics.spot_check("same");
             let text = format!("tile {tile} was computed again, with the same bytes");

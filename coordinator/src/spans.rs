@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
 
-use crate::ids::{JobId, Lease, LeaseId, TileIndex};
+use crate::ids::{JobId, Lease, LeaseId, TileIndex, worker_name};
 use crate::scheduler::{Event, Job, Machine};
 use crate::store::{JobPhase, JobRecord, JobState, TileStats};
 
@@ -281,7 +281,8 @@ impl Spans {
         if !job.spent.contains(&lease.id) {
             // After a restart an output may come before its worker, and the worker says how long it took.
             let since = Begun::ago(Duration::from_millis(stats.millis) + begun.elapsed());
-            let leased = || Leased { begun: since, worker: stats.worker.clone(), is_older: true };
+            let leased =
+                || Leased { begun: since, worker: worker_name(&stats.worker).to_owned(), is_older: true };
             let leased = job.leases.entry(*lease).or_insert_with(leased);
             if leased.is_older && leased.begun.is_after(since) {
                 leased.begun = since;
@@ -291,7 +292,7 @@ impl Spans {
             .span("commit", begun, lease.job)
             .below(lease_id(job.trace, lease))
             .number(TILE, lease.tile.0)
-            .name(WORKER, &stats.worker)
+            .name(WORKER, worker_name(&stats.worker))
             .number(CELLS, stats.cells)
             .number(SAMPLES, stats.samples)
             .number(BYTES, bytes)

@@ -9,9 +9,8 @@ use sightline_tests::ask;
 use tempfile::TempDir;
 
 use crate::clock::ManualClock;
-use crate::direct;
 use crate::ids::{Digest, Lease, TileIndex};
-use crate::results::{self, Announced, Origin, ResultError};
+use crate::results::{self, Announced, Origin, ResultError, Weight};
 use crate::scheduler::Grant;
 use crate::state::{Coordinator, Leases};
 use crate::store::{Address, BlobPlace, MemoryStore, ObjectBlobs, Staged};
@@ -72,7 +71,7 @@ fn write(address: &Address, bytes: &[u8]) {
 
 fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), ResultError> {
     let announced = Announced { lease: staged.lease, digest, bytes: staged.bytes, samples: 1, millis: 1 };
-    results::put(c, &announced, &Origin::Staged(staged))
+    results::put(c, &announced, &Origin::Staged(staged), Weight::Any)
 }
 
 #[test]
@@ -83,7 +82,7 @@ fn an_output_that_was_written_counts_when_it_was_checked() {
     // Nothing is there yet.
     let none = commit(c, &of, digest).unwrap_err();
     assert!(matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"), "{none}");
-    write(&direct::writing(c, &of).unwrap().unwrap(), &bytes);
+    write(&results::address(c, &of).unwrap().unwrap(), &bytes);
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (1, false));
     let written = c.blobs.carried().unwrap().written;
     commit(c, &of, digest).unwrap();
@@ -100,22 +99,22 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
     let (c, lease) = (&farm.c, farm.grants[0].lease);
     let unreached = output_of(&farm.grants[0], &CellSet { unreached: true, ..CellSet::default() });
     let of = staged(lease, &unreached);
-    write(&direct::writing(c, &of).unwrap().unwrap(), &unreached);
+    write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     // Under another digest, and as what it is.
     assert!(matches!(commit(c, &of, [7; 32]), Err(ResultError::Digest)));
     assert_eq!(farm.staged(), 0);
-    write(&direct::writing(c, &of).unwrap().unwrap(), &unreached);
+    write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     let digest = *blake3::hash(&unreached).as_bytes();
     assert!(matches!(commit(c, &of, digest), Err(ResultError::Viewpoints)));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Other bytes than were signed, which this store refuses and keeps all the same.
     let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
-    assert_eq!(put(&direct::writing(c, &of).unwrap().unwrap(), &others), 400);
+    assert_eq!(put(&results::address(c, &of).unwrap().unwrap(), &others), 400);
     assert_eq!(farm.staged(), 1);
     assert!(matches!(commit(c, &of, digest), Err(ResultError::Digest)));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Longer than announced: it is read no further than that.
-    write(&direct::writing(c, &of).unwrap().unwrap(), &unreached);
+    write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     let shorter = Staged { bytes: 3, ..of };
     assert!(matches!(commit(c, &shorter, digest), Err(ResultError::Unstaged(_))));
 }
@@ -125,15 +124,15 @@ fn only_who_holds_a_tile_may_write_and_one_output_alone() {
     let farm = Farm::new();
     let (c, lease) = (&farm.c, farm.grants[0].lease);
     let of = staged(lease, b"an output");
-    assert!(direct::writing(c, &of).unwrap().is_some());
-    assert!(direct::writing(c, &of).unwrap().is_some(), "the answer may have been lost");
-    assert!(direct::writing(c, &staged(lease, b"another")).unwrap().is_none());
+    assert!(results::address(c, &of).unwrap().is_some());
+    assert!(results::address(c, &of).unwrap().is_some(), "the answer may have been lost");
+    assert!(results::address(c, &staged(lease, b"another")).unwrap().is_none());
     let mut of_nobody = lease;
     of_nobody.id.number += 100;
-    assert!(direct::writing(c, &staged(of_nobody, b"an output")).unwrap().is_none());
+    assert!(results::address(c, &staged(of_nobody, b"an output")).unwrap().is_none());
     let elsewhere = Lease { tile: TileIndex(77), ..lease };
-    assert!(direct::writing(c, &staged(elsewhere, b"an output")).unwrap().is_none());
-    assert!(direct::writing(c, &Staged { bytes: u64::MAX, ..of }).unwrap().is_none());
+    assert!(results::address(c, &staged(elsewhere, b"an output")).unwrap().is_none());
+    assert!(results::address(c, &Staged { bytes: u64::MAX, ..of }).unwrap().is_none());
     // Nor is anything read for them.
     let read = c.blobs.carried().unwrap().read;
     assert!(commit(c, &staged(of_nobody, b"an output"), [1; 32]).is_err());

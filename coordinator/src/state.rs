@@ -5,7 +5,9 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{
+    Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError,
+};
 use std::time::{Duration, Instant};
 
 use sightline_model::receivers::Facts;
@@ -19,20 +21,25 @@ use crate::clock::{Clock, Moment};
 use crate::crews::Crews;
 use crate::ids::{Digest, JobId};
 use crate::kept::{Answers, Asked, Last, LastTrial, Retention};
-use crate::limits::{Pace, Quotas, Usage};
+use crate::lease_tags::LeaseTags;
+use crate::limits::{Budget, Intake, Pace, Quotas, Turns, Usage};
 use crate::metrics::Metrics;
 use crate::orders::{Scheduling, Watched};
+use crate::retention_clock::{Ages, FutureBlobs, RetentionClock};
 use crate::scheduler::{Machine, Now};
 use crate::spans::Spans;
 use crate::staging::Staging;
-use crate::store::{Blobs, Store};
+use crate::store::{Blobs, Store, StoreIdentity};
 use crate::uploads::Uploads;
+use crate::worker_identity::IdentityProofs;
 
 /// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
 /// read delay only each other.
 const MOST_DOWNLOADS: usize = 256;
 /// Scenes that are read from files at a time; more wait.
 const FILES_AT_ONCE: usize = 2;
+/// Outputs of tiles that are checked at a time; more wait on the disk.
+const MAX_CHECKS: usize = 32;
 
 /// How leases are given.
 #[derive(Clone, Copy, Debug)]
@@ -103,12 +110,28 @@ pub struct Coordinator {
     pub(crate) downloads: Arc<Semaphore>,
     /// Permits for reading scenes from files.
     pub(crate) files: Arc<Semaphore>,
-    /// The right to hold a scene for a question or a page.
-    pub(crate) scenes_in_memory: Arc<Semaphore>,
+    /// Permits for checking outputs of tiles.
+    pub(crate) checks: Arc<Semaphore>,
+    /// Turns for holding a large upload in memory: users and all workers together come one after the other.
+    pub(crate) large: Turns,
+    /// The memory of requests that were not handled yet.
+    pub(crate) intake: Arc<Intake>,
+    /// The bytes of uploads that have not ended.
+    pub(crate) unfinished: Budget,
+    /// The turns of questions and pages that hold a scene.
+    pub(crate) questions: Turns,
+    /// The turns of look-ups in results, and of estimates.
+    pub(crate) lookups: Turns,
     /// What is asked of callers; nothing when it is not set.
     pub(crate) access: OnceLock<Arc<Access>>,
     /// How long things are kept.
     pub(crate) retention: Retention,
+    /// The clocks of retention. May be locked under every other lock.
+    retention_clock: Mutex<RetentionClock>,
+    /// The lock of stamps of these clocks, so that an earlier stamp does not replace a later one.
+    stamping: Mutex<()>,
+    /// The unneeded blobs with times in the future.
+    future_blobs: Mutex<FutureBlobs>,
     /// What users may have, and how often they call.
     pub(crate) quotas: Quotas,
     pub(crate) pace: Pace,
@@ -126,6 +149,9 @@ pub struct Coordinator {
     pub(crate) uploads: Uploads,
     /// The outputs that workers write by themselves.
     pub(crate) staging: Staging,
+    /// The proofs of leases, and of the identities of workers.
+    pub(crate) lease_tags: LeaseTags,
+    pub(crate) identities: IdentityProofs,
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn Answers>>,
     /// The result that was asked about last.
@@ -154,9 +180,10 @@ impl Lacks {
 }
 
 impl Coordinator {
-    /// The state from its parts.
+    /// Creates the state from its parts. `identity` is the identity of the store.
     pub(crate) fn of(
         leases: Leases,
+        identity: &StoreIdentity,
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
@@ -164,6 +191,7 @@ impl Coordinator {
         machine: Machine,
     ) -> Self {
         let origin = clock.now().at;
+        let retention_clock = Mutex::new(RetentionClock::new(None, Ages::default(), clock.now()));
         Self {
             leases,
             store,
@@ -182,9 +210,17 @@ impl Coordinator {
             last_partial: Mutex::default(),
             downloads: Arc::new(Semaphore::new(MOST_DOWNLOADS)),
             files: Arc::new(Semaphore::new(FILES_AT_ONCE)),
-            scenes_in_memory: Arc::new(Semaphore::new(1)),
+            checks: Arc::new(Semaphore::new(MAX_CHECKS)),
+            large: Turns::of_bounded_requests(),
+            intake: Arc::default(),
+            unfinished: Budget::default(),
+            questions: Turns::default(),
+            lookups: Turns::default(),
             access: OnceLock::new(),
             retention: Retention::default(),
+            retention_clock,
+            stamping: Mutex::default(),
+            future_blobs: Mutex::default(),
             quotas: Quotas::default(),
             pace: Pace::default(),
             counted: Mutex::default(),
@@ -194,6 +230,8 @@ impl Coordinator {
             last_trial: Mutex::new(None),
             uploads: Uploads::default(),
             staging: Staging::default(),
+            lease_tags: LeaseTags::new(identity),
+            identities: IdentityProofs::new(identity),
             answers: OnceLock::new(),
             last_asked: Mutex::new(None),
             lost: Mutex::default(),
@@ -219,9 +257,46 @@ impl Coordinator {
         jobs.into_iter().filter_map(|id| scheduling.machine.job(id)).for_each(|job| self.spans.taken_up(job));
     }
 
-    /// The current time.
+    /// Returns the current time, which the clock of retention has observed.
     pub(crate) fn now(&self) -> Moment {
-        self.clock.now()
+        let now = self.clock.now();
+        self.retention_clock().observe(now, self.ages());
+        now
+    }
+
+    /// Returns the ages from which on retention deletes.
+    pub(crate) fn ages(&self) -> Ages {
+        Ages { jobs: self.retention.keep, blobs: Some(self.retention.grace) }
+    }
+
+    /// Locks the clock of retention.
+    pub(crate) fn retention_clock(&self) -> MutexGuard<'_, RetentionClock> {
+        // Each change is complete before anything can panic.
+        self.retention_clock.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Locks the unneeded blobs with times in the future.
+    pub(crate) fn future_blobs(&self) -> MutexGuard<'_, FutureBlobs> {
+        self.future_blobs.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Replaces the clock of retention by one that continues the last stamp of the store.
+    pub(crate) fn continue_retention(&mut self, clock: RetentionClock) {
+        self.retention_clock = Mutex::new(clock);
+    }
+
+    /// Returns the right to record a stamp of the clock of retention, unless another thread has it.
+    pub(crate) fn try_stamping(&self) -> Option<MutexGuard<'_, ()>> {
+        match self.stamping.try_lock() {
+            Ok(right) => Some(right),
+            Err(TryLockError::Poisoned(e)) => Some(e.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
+    /// Waits for the right to record a stamp of the clock of retention.
+    pub(crate) fn stamping(&self) -> MutexGuard<'_, ()> {
+        self.stamping.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Notes that something happened, for people. Does not block.
@@ -231,7 +306,7 @@ impl Coordinator {
 
     /// The current time as the scheduler counts it.
     pub(crate) fn now_plain(&self) -> Now {
-        let now = self.clock.now();
+        let now = self.now();
         let ms = now.at.saturating_duration_since(self.origin).as_millis() as u64;
         Now { ms, unix_ms: now.unix_ms }
     }

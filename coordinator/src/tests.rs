@@ -21,7 +21,7 @@ use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::{self, JobError};
 use crate::lifecycle;
 use crate::orders::Outbox;
-use crate::results::{self, Announced, Origin, ResultError};
+use crate::results::{self, Announced, Origin, ResultError, Weight};
 use crate::scheduler::{Grant, Introduction, Order};
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Leases};
@@ -106,9 +106,10 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
 pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
     let (out, orders) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
-    let name = name.to_owned();
+    let (name, signature) = (name.to_owned(), name.to_owned());
     let version = String::new();
-    let intro = Introduction { name, version, instance: 0, profiles, held: Vec::new(), helps: false };
+    let intro =
+        Introduction { name, signature, version, instance: 0, profiles, held: Vec::new(), helps: false };
     let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
     do_chores(c, chores);
     let worker = joined.worker;
@@ -150,6 +151,7 @@ pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(
         c,
         &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 },
         &Origin::Sent(bytes),
+        Weight::Any,
     )
 }
 

@@ -21,7 +21,7 @@ use crate::scenes;
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Lacks, Leases};
-use crate::store::{FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState};
+use crate::store::{Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState};
 use crate::submit::{SubmitError, submit};
 use crate::tests::{coordinator, granted, join, nameless, output, put, two_tiles};
 use sightline_model::JobSpec;
@@ -214,9 +214,9 @@ fn blobs_that_nobody_needs_go_and_all_others_stay() {
     put(&c, &grant, &output(&grant, &[0])).unwrap();
     let chunk = c.blobs.put(b"a chunk of an upload that was left").unwrap();
     let alone = |remove: &mut dyn FnMut()| remove();
-    let sweep = |grace| keeping::sweep(&*c.store, &*c.blobs, grace, &alone).unwrap();
-    assert_eq!(sweep(Duration::from_secs(3600)), (0, 0));
-    assert_eq!(sweep(Duration::ZERO), (1, 34));
+    let sweep = |is_old| keeping::sweep(&*c.store, &*c.blobs, &|_, _| is_old, &alone).unwrap();
+    assert_eq!(sweep(false), (0, 0));
+    assert_eq!(sweep(true), (1, 34));
     assert!(!c.blobs.has(&chunk).unwrap());
     let found = keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
     assert_eq!((found.scenes, found.jobs, found.blobs, found.unneeded, found.lost.len()), (1, 1, 2, 0, 0));
@@ -290,8 +290,8 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     let mut c = alone(c);
     c.retention = Retention { keep, keep_bytes: None, grace: Duration::ZERO };
     let c = Arc::new(c);
-    clock.advance(Duration::from_secs(1));
-    std::thread::sleep(Duration::from_millis(5));
+    // Times of blobs are of the system's clock, which advances during the test.
+    clock.advance(Duration::from_secs(3600));
     tidy_up(&c);
     assert!(c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty());
     assert!(!c.blobs.has(&scene).unwrap());
@@ -303,6 +303,14 @@ fn a_list_that_names_a_chunk_many_times_is_refused_before_anything_is_written() 
     let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
     let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
     assert!(matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30), "{refused}");
+    // A short upload does not become a long scene, either.
+    let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 1500]).unwrap_err();
+    let is_found = matches!(refused, UploadError::Repeated { bytes, sent, .. } if bytes / 1500 == sent);
+    assert!(is_found, "{refused}");
+    // Another blob than a chunk is rejected.
+    let long = c.blobs.put(&vec![7; (1 << 20) + 1]).unwrap();
+    let refused = scenes::put_scene(&c, "", [9; 32], &[long]).unwrap_err();
+    assert!(matches!(refused, UploadError::LongChunk { .. }), "{refused}");
 }
 
 #[test]
@@ -357,4 +365,25 @@ fn a_deleted_job_takes_its_scene_along_unless_others_need_it() {
     jobs::cancel(&c, job).unwrap();
     crate::deleting::delete(&c, job).unwrap();
     assert!(c.store.scene(&scene).unwrap().is_some());
+}
+
+#[test]
+fn wrong_records_remove_no_blob() {
+    let blobs = MemoryBlobs::new();
+    let of = |store: MemoryStore| {
+        let clock = Box::new(Arc::new(ManualClock::default()));
+        let c = Coordinator::new(Leases::default(), Box::new(store), Box::new(blobs.clone()), clock).unwrap();
+        let mut c = alone(c);
+        c.retention = Retention { keep: None, keep_bytes: None, grace: Duration::ZERO };
+        Arc::new(c)
+    };
+    let right = of(MemoryStore::new());
+    let scene = right.take_scene(&scene()).unwrap();
+    let chunk = blobs.put(b"a chunk of an upload that was left").unwrap();
+    // Another store's records, such as the records of a wrong data directory, name none of the blobs.
+    tidy_up(&of(MemoryStore::new()));
+    assert!(blobs.has(&scene).unwrap() && blobs.has(&chunk).unwrap());
+    // The store that the blobs belong to still removes unreferenced ones.
+    tidy_up(&right);
+    assert!(blobs.has(&scene).unwrap() && !blobs.has(&chunk).unwrap());
 }

@@ -2,6 +2,7 @@
 
 use crate::chronicle::{Happening, Kind};
 use crate::ids::JobId;
+use crate::retention_stamp;
 use crate::scheduler::Event;
 use crate::scheduling::{Chore, tell};
 use crate::state::Coordinator;
@@ -15,7 +16,7 @@ pub(crate) fn turned(
     to: JobState,
 ) -> Result<Vec<Chore>, StoreError> {
     let _turn = c.turn();
-    let record = c.store.set_job_state(id, from, to, c.now().unix_ms)?;
+    let record = c.store.set_job_state(id, from, to, retention_stamp::end_time(c))?;
     tracing::info!("job {id} is {}", record.state.phase());
     c.happened(Happening::of_job(Kind::Job, id, format!("the job is {}", record.state.phase())));
     Ok(tell(c, Event::JobChanged(Box::new(record))))

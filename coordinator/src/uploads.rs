@@ -3,12 +3,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use crate::ids::Digest;
 
-/// Most chunks of an owner that are kept in mind: those of two of the largest scenes. Who sends more without
-/// putting a scene has to send the earlier ones again.
-const MOST: usize = 131_072;
+/// Maximum number of chunks of an owner that were not joined to a scene: two of the largest scenes have as
+/// many. An owner with a name gets no further chunk stored. Chunks without an owner are forgotten then, and
+/// have to be sent again.
+pub(crate) const MAX_CHUNKS: usize = 131_072;
 
 /// The chunks of each owner, and whether each was new to the store. Nobody is an owner, too.
 #[derive(Default)]
@@ -22,24 +24,50 @@ struct Chunks {
 }
 
 /// A chunk that was sent.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Sent {
     is_new: bool,
     bytes: u32,
+    at: Instant,
 }
 
 impl Uploads {
-    /// An owner has sent a chunk.
+    /// Returns true if an owner may send another chunk.
+    pub(crate) fn has_room(&self, owner: &str) -> bool {
+        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        owner.is_empty() || all.get(owner).is_none_or(|own| own.of.len() < MAX_CHUNKS)
+    }
+
+    /// Notes that an owner has sent a chunk.
     pub(crate) fn note(&self, owner: &str, chunk: Digest, bytes: u32, is_new: bool) {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let own = all.entry(owner.to_owned()).or_default();
-        if own.of.len() >= MOST && !own.of.contains_key(&chunk) {
+        // Without an owner there is no quota, and every caller may join every chunk.
+        if owner.is_empty() && own.of.len() >= MAX_CHUNKS && !own.of.contains_key(&chunk) {
             *own = Chunks::default();
         }
-        let sent = own.of.entry(chunk).or_default();
-        sent.is_new |= is_new;
+        let at = Instant::now();
+        let sent = own.of.entry(chunk).or_insert(Sent { is_new: false, bytes: 0, at });
+        (sent.is_new, sent.at) = (sent.is_new | is_new, at);
         // By its digest it has the same length as before.
         own.bytes += u64::from(bytes - std::mem::replace(&mut sent.bytes, bytes));
+    }
+
+    /// Forgets chunks that were sent longer than `grace` ago and whose blob is gone. A chunk counts for its
+    /// owner as long as its blob is on the disk.
+    pub(crate) fn forget_removed(&self, grace: Duration, is_stored: impl Fn(&Digest) -> bool) {
+        // The files are inspected without the lock.
+        let old: Vec<(String, Digest)> = {
+            let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            let of = |(owner, own): (&String, &Chunks)| {
+                let old = own.of.iter().filter(|(_, sent)| sent.at.elapsed() >= grace);
+                old.map(|(chunk, _)| (owner.clone(), *chunk)).collect::<Vec<_>>()
+            };
+            all.iter().flat_map(of).collect()
+        };
+        for (owner, chunk) in old.into_iter().filter(|(_, chunk)| !is_stored(chunk)) {
+            self.forget(&owner, &[chunk]);
+        }
     }
 
     /// Bytes of the chunks of an owner.
@@ -91,15 +119,38 @@ mod tests {
         assert!(uploads.0.lock().unwrap().is_empty());
     }
 
+    fn digest(n: usize) -> Digest {
+        let mut digest = [0; 32];
+        digest[..8].copy_from_slice(&(n as u64).to_le_bytes());
+        digest
+    }
+
     #[test]
-    fn an_owner_who_never_finishes_is_not_kept_in_mind_for_ever() {
+    fn owner_keeps_its_bytes_however_many_chunks_it_sends() {
         let uploads = Uploads::default();
-        for n in 0..=MOST {
-            let mut digest = [0; 32];
-            digest[..8].copy_from_slice(&(n as u64).to_le_bytes());
-            uploads.note("ada", digest, 1, true);
+        for owner in ["ada", ""] {
+            for n in 0..MAX_CHUNKS {
+                uploads.note(owner, digest(n), 1, true);
+            }
         }
-        assert_eq!(uploads.0.lock().unwrap()["ada"].of.len(), 1);
-        assert_eq!(uploads.bytes("ada"), 1);
+        assert!(!uploads.has_room("ada") && uploads.has_room("bob") && uploads.has_room(""));
+        // A chunk that another call was sending counts, too.
+        uploads.note("ada", digest(MAX_CHUNKS), 1, true);
+        assert_eq!(uploads.bytes("ada"), MAX_CHUNKS as u64 + 1);
+        // Chunks without an owner do not fill the memory.
+        uploads.note("", digest(MAX_CHUNKS), 1, true);
+        assert_eq!(uploads.0.lock().unwrap()[""].of.len(), 1);
+    }
+
+    #[test]
+    fn chunk_counts_until_its_blob_is_removed() {
+        let uploads = Uploads::default();
+        for n in 0..3 {
+            uploads.note("ada", digest(n), 10, true);
+        }
+        uploads.forget_removed(Duration::from_secs(3600), |_| false);
+        assert_eq!(uploads.bytes("ada"), 30);
+        uploads.forget_removed(Duration::ZERO, |chunk| *chunk == digest(1));
+        assert_eq!(uploads.bytes("ada"), 10);
     }
 }

@@ -59,6 +59,8 @@ pub struct Worker {
     shop: Arc<Shop>,
     /// Random and not 0; distinguishes this worker from another worker of the same name.
     instance: u64,
+    /// The identity from the first welcome; empty before.
+    identity: Vec<u8>,
     held: BTreeMap<LeaseKey, Arc<Held>>,
     /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
     helping: BTreeMap<LeaseKey, Arc<Held>>,
@@ -94,6 +96,7 @@ impl Worker {
         Ok(Self {
             shop: Arc::new(shop),
             instance,
+            identity: Vec::new(),
             held: BTreeMap::new(),
             helping: BTreeMap::new(),
             finished: mpsc::unbounded_channel(),
@@ -178,7 +181,9 @@ impl Worker {
             self.unsaid.extend(said.into_iter().filter(|m| !matches!(m, ToCoordinator::Want(_))));
         }
         let (out, receiver) = mpsc::channel(64);
-        let send = |m: ToCoordinator| out.try_send(v1::WorkerMessage { message: Some(m) });
+        let send = |m: ToCoordinator| {
+            out.try_send(v1::WorkerMessage { message: Some(m) }).map_err(|e| e.to_string())
+        };
         // Jobs that need no backend are for every worker.
         let backends = self.shop.config.backends.profiles();
         let profiles = backends.into_iter().chain([sightline_model::NO_PROFILE.to_owned()]);
@@ -189,6 +194,7 @@ impl Worker {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             algorithm: sightline_model::ALGORITHM_VERSION,
             instance: self.instance,
+            identity: self.identity.clone(),
             helps: self.shop.config.helps,
         };
         let broken = |e: &dyn std::fmt::Display| End::Broken(e.to_string());
@@ -293,6 +299,7 @@ impl Worker {
                 self.shop.config.pulse.connected(true);
                 self.unsaid.clear();
                 self.shop.direct.welcome(w.direct);
+                self.identity = w.identity;
                 // Tiles whose lease was not kept are stopped.
                 for (k, h) in &self.held {
                     if !w.kept.iter().any(|l| key(l) == *k) {

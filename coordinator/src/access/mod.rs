@@ -9,6 +9,7 @@ mod caller;
 mod tokens;
 
 pub use caller::{Caller, Need, Scope, Scopes, needed};
+pub(crate) use tokens::TokenDigest;
 pub use tokens::{MAX_USER_BYTES, Token, TokenError, TokenFile, TokenLock};
 
 use std::path::PathBuf;
@@ -66,6 +67,17 @@ impl Access {
             }
             _ => Ok(Caller::Nobody),
         }
+    }
+
+    /// Returns the user of the token whose secret has this digest.
+    ///
+    /// # Errors
+    /// A sentence for the caller, when the token was revoked.
+    pub(crate) fn identify_digest(&self, digest: &TokenDigest) -> Result<Caller, &'static str> {
+        let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
+        let token = known.tokens.with_digest(digest);
+        let token = token.ok_or("the token of the session was revoked; log in with another one at /login")?;
+        Ok(Caller::User { name: token.user.clone(), scopes: token.scopes })
     }
 
     /// Whether a caller may make a call with this need; a sentence when not.

@@ -7,6 +7,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use sightline_files::{Access, NewFile};
 
 use super::caller::{Scope, Scopes};
 use crate::store::MAX_OWNER_BYTES;
@@ -67,6 +68,17 @@ pub struct Token {
     pub digest: String,
 }
 
+/// The digest of a token's secret, which names the token in memory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct TokenDigest(String);
+
+impl TokenDigest {
+    /// Computes the digest of a token's text, whether the token exists or not.
+    pub(crate) fn of_text(text: &str) -> Self {
+        Self(digest_of(text.rsplit('_').next().unwrap_or_default()))
+    }
+}
+
 /// All tokens of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TokenFile {
@@ -97,31 +109,20 @@ impl TokenFile {
         Ok(file)
     }
 
-    /// Writes the file anew, readable by its owner alone. A reader sees the old file or the new one.
+    /// Writes the file, with its previous owner, or readable by its owner only. A reader sees the
+    /// previous file or the new one.
     ///
     /// # Errors
     /// [`TokenError::Write`].
     pub fn write(&self, path: &Path) -> Result<(), TokenError> {
-        let failed = |e: std::io::Error| TokenError::Write { path: path.to_owned(), reason: e.to_string() };
-        let mut text = serde_json::to_vec_pretty(self).map_err(|e| failed(e.into()))?;
-        text.push(b'\n');
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.new", std::process::id()));
-        let beside = path.with_file_name(name);
-        let mut options = std::fs::OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let written = options.open(&beside).and_then(|mut file| {
-            file.write_all(&text)?;
-            keep_owner(path, &file)?;
-            file.sync_all()
-        });
-        written.and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
-            // The error is told; a file beside it is only in the way.
-            let _ = std::fs::remove_file(&beside);
-            failed(e)
-        })
+        let write = || {
+            let mut file = NewFile::begin(path, Access::Private)?;
+            serde_json::to_writer_pretty(&mut file, self)?;
+            file.write_all(b"\n")?;
+            file.commit()
+        };
+        write()
+            .map_err(|e: std::io::Error| TokenError::Write { path: path.to_owned(), reason: e.to_string() })
     }
 
     /// Adds a token with these random bytes, and gives its text, which is nowhere else.
@@ -173,22 +174,11 @@ impl TokenFile {
     }
 }
 
-/// Gives a file the owner of the one that it replaces: the coordinator may run as another user than who
-/// revokes.
-fn keep_owner(before: &Path, file: &std::fs::File) -> std::io::Result<()> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::{MetadataExt as _, fchown};
-        if let Ok(before) = std::fs::metadata(before) {
-            let now = file.metadata()?;
-            if (now.uid(), now.gid()) != (before.uid(), before.gid()) {
-                fchown(file, Some(before.uid()), Some(before.gid()))?;
-            }
-        }
+impl TokenFile {
+    /// Returns the token whose secret has this digest.
+    pub(super) fn with_digest(&self, digest: &TokenDigest) -> Option<&Token> {
+        self.tokens.iter().find(|token| token.digest == digest.0)
     }
-    #[cfg(not(unix))]
-    let _ = (before, file);
-    Ok(())
 }
 
 /// Holds others off from changing a file of tokens, until it is dropped.

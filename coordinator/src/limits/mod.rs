@@ -3,12 +3,18 @@
 //! [`Quota`] says how much; `usage.rs` counts what a user has, from the store; `pace.rs` counts calls. The
 //! limits that hold for everybody stand beside what they bound; `docs/security.md` lists them all.
 
+mod budget;
+mod intake;
 mod pace;
 mod quota;
+mod turns;
 mod usage;
 
+pub(crate) use self::budget::{Budget, Reserved, Sender};
+pub(crate) use self::intake::{Intake, Room};
 pub(crate) use self::pace::{Pace, Permit};
 pub use self::quota::{Quota, QuotaError, Quotas, bytes};
+pub(crate) use self::turns::{Turn, Turns};
 pub(crate) use self::usage::{Usage, usage};
 
 /// Something that a user may not have or do any more.
@@ -26,10 +32,31 @@ pub enum Beyond {
         /// What there would be.
         wanted: u64,
     },
+    /// Too many bytes in uploads that have not ended.
+    #[error(
+        "unfinished uploads of {who} may have {most} bytes together and would have {wanted}; try again when \
+         others have ended"
+    )]
+    Unfinished {
+        /// The senders.
+        who: &'static str,
+        /// The bound.
+        most: u64,
+        /// The bytes that there would be.
+        wanted: u64,
+    },
     /// Too many calls in a time.
     #[error("{user} may make {most} calls a second; wait a moment and try again")]
     Rate {
         /// Who calls.
+        user: String,
+        /// The bound.
+        most: u32,
+    },
+    /// Too many questions that wait.
+    #[error("{user} may have {most} questions wait at a time; wait for some of the answers, and ask again")]
+    Waiting {
+        /// The user.
         user: String,
         /// The bound.
         most: u32,
@@ -49,7 +76,9 @@ impl Beyond {
     pub(crate) fn name(&self) -> &'static str {
         match self {
             Self::Quota { what, .. } => what,
+            Self::Unfinished { .. } => "unfinished",
             Self::Rate { .. } => "requests",
+            Self::Waiting { .. } => "questions",
             Self::Calls { .. } => "calls",
         }
     }

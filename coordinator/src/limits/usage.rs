@@ -27,7 +27,7 @@ pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> 
             usage.bytes = usage.bytes.saturating_add(bytes);
         }
         // Of several jobs with the same receivers each counts them.
-        let receivers = specs::receivers(&job.spec).map_or(0, |ambient| ambient.bytes);
+        let receivers = specs::receivers(&job.spec).map_or(0, |ambient| ambient.bytes.unwrap_or_default());
         usage.bytes = usage.bytes.saturating_add(receivers);
     }
     Ok(usage)

@@ -57,6 +57,7 @@ pub(crate) struct Metrics {
     set_aside: Counter,
     conflicts: Counter,
     taken_back: Counter,
+    deaths: Counter,
     phases: Counter,
     phase_seconds: Histograms,
     spot_checks: Counters,
@@ -114,6 +115,7 @@ impl Default for Metrics {
             set_aside: Counter::default(),
             conflicts: Counter::default(),
             taken_back: Counter::default(),
+            deaths: Counter::default(),
             phases: Counter::default(),
             phase_seconds: Family::new_with_constructor(short),
             spot_checks: Family::default(),
@@ -143,6 +145,11 @@ impl Default for Metrics {
         r.register_with_unit("sync", help, seconds(), this.sync_seconds.clone());
         r.register("tiles_set_aside", "Tiles that were given up", this.set_aside.clone());
         r.register("tile_conflicts", "Outputs that differ from the one that stays", this.conflicts.clone());
+        r.register(
+            "worker_deaths",
+            "Workers that ended without a word while they held a tile",
+            this.deaths.clone(),
+        );
         r.register("leases_taken_back", "Leases that ended before their tile", this.taken_back.clone());
         r.register("phases", "Phases of blocks that crews have finished", this.phases.clone());
         let help = "Time that the leader of a crew took over a phase";
@@ -224,6 +231,11 @@ impl Metrics {
     /// An output differs from the one that stays.
     pub(crate) fn conflict(&self) {
         self.conflicts.inc();
+    }
+
+    /// Counts a worker that ended without a word while it held a tile.
+    pub(crate) fn worker_died(&self) {
+        self.deaths.inc();
     }
 
     /// A lease has ended before its tile.

@@ -71,12 +71,12 @@ impl Machine {
         self.take_answer(id, tile, digest, name);
     }
 
-    /// Whether a worker of this name gets no tiles.
-    pub(super) fn is_barred(&self, name: &str) -> bool {
-        self.quarantined.contains(name) || self.suspects.contains_key(name)
+    /// Returns true if a worker with this signature gets no tiles.
+    pub(super) fn is_barred(&self, signature: &str) -> bool {
+        self.quarantined.contains(signature) || self.suspects.contains_key(signature)
     }
 
-    /// The names of the workers that are quarantined.
+    /// Returns the signatures of the quarantined workers.
     pub(crate) fn quarantined(&self) -> &BTreeSet<Name> {
         &self.quarantined
     }
@@ -84,7 +84,7 @@ impl Machine {
     /// A worker gets no tiles any more, and what it holds does not count.
     pub(super) fn quarantine(&mut self, name: &str) {
         self.quarantined.insert(name.into());
-        for id in self.of_name(name) {
+        for id in self.of_signature(name) {
             let leases: Vec<_> = self.workers.get(&id).into_iter().flat_map(|w| w.leases.clone()).collect();
             leases.into_iter().for_each(|lease| self.end_lease(lease, true));
             self.call_back(id);
@@ -112,12 +112,12 @@ impl Machine {
         self.relist(name);
     }
 
-    fn of_name(&self, name: &str) -> Vec<WorkerId> {
-        self.workers.iter().filter(|(_, w)| w.name == name).map(|(id, _)| *id).collect()
+    fn of_signature(&self, signature: &str) -> Vec<WorkerId> {
+        self.workers.iter().filter(|(_, w)| *w.signature == *signature).map(|(id, _)| *id).collect()
     }
 
     fn relist(&mut self, name: &str) {
-        self.of_name(name).into_iter().for_each(|id| self.list_worker(id));
+        self.of_signature(name).into_iter().for_each(|id| self.list_worker(id));
     }
 
     /// Leases checks to idle workers. With every tick.
@@ -128,6 +128,10 @@ impl Machine {
         let spotted: Vec<(JobId, TileIndex)> = self.spotted.iter().copied().collect();
         let mut granted = 0;
         for (id, tile) in spotted {
+            // A job that was paused when only checks were left has no tile with which it would begin to run.
+            if self.jobs.get(&id).is_some_and(|job| job.open() == 0 && self.allowed(job)) {
+                self.start(id);
+            }
             let Some((profile, spot)) = self.due(id, tile, now) else { continue };
             let is_idle = self.pools.of.get(&profile).is_some_and(|pool| !pool.hungry[0].is_empty());
             let is_last = self.jobs.get(&id).is_some_and(|job| job.open() == 0);
@@ -150,7 +154,7 @@ impl Machine {
     fn checker(&self, profile: &Profile, spot: &Spot) -> Option<WorkerId> {
         if !spot.is_disputed() {
             let mut hungry = self.pools.of.get(profile)?.hungry[0].iter();
-            let may = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| !spot.knows(&w.name));
+            let may = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| !spot.knows(&w.signature));
             return hungry.find(may).copied();
         }
         let may = |w: &Worker| {
@@ -162,7 +166,7 @@ impl Machine {
 
     /// Whether a worker can check a tile, once it has nothing else to do.
     fn could_check(&self, w: &Worker, profile: &Profile, spot: &Spot) -> bool {
-        let name = w.name.as_str();
+        let name = &*w.signature;
         let barred = if spot.is_disputed() { self.quarantined.contains(name) } else { self.is_barred(name) };
         let asks = !w.silent && w.deaf_until.is_none() && (w.wants > 0 || !w.leases.is_empty());
         w.profiles.contains(profile) && asks && !w.draining && !barred && !spot.knows(name)
@@ -170,7 +174,7 @@ impl Machine {
 
     /// Leases an idle worker a check for which a job waits, before it gets a tile; returns whether it did.
     pub(super) fn check_first(&mut self, worker: WorkerId, profile: &Profile, now: Now) -> bool {
-        let Some(name) = self.workers.get(&worker).map(|w| w.name.clone()) else { return false };
+        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else { return false };
         let waits = |(id, tile): &&(JobId, TileIndex)| {
             let due = self.due(*id, *tile, now).filter(|(of, spot)| of == profile && !spot.knows(&name));
             let is_last = self.jobs.get(id).is_some_and(|job| job.open() == 0);
@@ -212,7 +216,10 @@ impl Machine {
         let Some(job) = self.jobs.get(&id) else { return };
         let Some(spot) = job.spots.get(&tile) else { return };
         let able = self.workers.values().any(|w| self.could_check(w, profile, spot));
-        let waits = job.open() == 0;
+        // No worker takes an open tile while all are barred by disputes.
+        let may_work =
+            |w: &Worker| w.profiles.contains(profile) && !w.draining && !self.is_barred(&w.signature);
+        let waits = job.open() == 0 || !self.workers.values().any(may_work);
         let with_helpers = Spot { helpers_may: true, ..spot.clone() };
         let helped = |w: &Worker| self.could_check(w, profile, &with_helpers);
         let helpers_could = !spot.helpers_may && self.workers.values().any(helped);
@@ -280,7 +287,7 @@ impl Machine {
         let name = self.jobs.get(&lease.job).and_then(|job| job.given_to(lease.id.number, lease.tile));
         self.end_lease(lease.id, false);
         if let Some(w) = self.workers.get(&worker) {
-            debug_assert!(name.as_deref() == Some(w.name.as_str()), "a lease has its worker's name");
+            debug_assert!(name.as_ref() == Some(&w.signature), "a lease has its worker's name");
         }
         let Some(name) = name else { return };
         self.take_answer(lease.job, lease.tile, digest, name);

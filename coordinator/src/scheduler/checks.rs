@@ -35,6 +35,13 @@ impl Machine {
                 "a lease's worker does not hold it",
             )?;
         }
+        for (worker, missing) in &self.missing {
+            let held = |l: &Leased| l.worker == *worker && l.gone.is_some();
+            ensure(
+                self.leases.get(&missing.lease.id).is_some_and(held),
+                "a missing worker's lease has ended",
+            )?;
+        }
         for (id, w) in &self.workers {
             ensure(w.leases.iter().all(|l| self.leases[l].worker == *id), "a worker holds another's lease")?;
             self.check_worker(*id)?;
@@ -103,7 +110,7 @@ impl Machine {
 
     fn check_worker(&self, id: WorkerId) -> Result<(), String> {
         let w = &self.workers[&id];
-        let fit = !w.draining && !self.is_barred(&w.name);
+        let fit = !w.draining && !self.is_barred(&w.signature);
         let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let idle = w.leases.is_empty();
         let fine = w.profiles.iter().all(|p| {

@@ -11,6 +11,7 @@ use super::event::Effect;
 use super::machine::Machine;
 use super::messages::{Help, Now, Order};
 use super::pools::Profile;
+use super::spot::Name;
 use crate::ids::{Lease, LeaseId, WorkerId};
 
 impl Machine {
@@ -97,7 +98,7 @@ impl Machine {
     }
 
     fn note_hands(&mut self, lease: &Lease, worker: WorkerId) {
-        let Some(name) = self.workers.get(&worker).map(|w| w.name.as_str().into()) else { return };
+        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else { return };
         if let Some(job) = self.jobs.get_mut(&lease.job) {
             job.tiles[lease.tile.at()].hands.insert(name);
         }

@@ -79,7 +79,8 @@ pub(crate) enum Event {
     DiskFull(Lease),
     /// An order with a lease could not be sent to its worker.
     Undelivered(WorkerId, Lease),
-    /// [`Command::Fail`] is done: the tile has failed on this many different workers.
+    /// [`Command::Fail`] or [`Command::CountDeath`] is done: the tile has failed on this many different
+    /// workers.
     FailureRecorded {
         /// The job.
         job: JobId,
@@ -89,6 +90,8 @@ pub(crate) enum Event {
         on: u32,
         /// The last reason.
         reason: String,
+        /// Whether the failure is the death of a worker.
+        died: bool,
     },
     /// A tile of [`Command::SetAside`] has a stand-in in the store.
     SetAside {
@@ -146,6 +149,28 @@ pub(crate) enum Command {
         /// Its reason.
         reason: String,
     },
+    /// Record the death of a worker as a failure: [`Event::FailureRecorded`].
+    CountDeath {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// The worker's name.
+        worker: String,
+        /// The reason that is kept.
+        reason: String,
+    },
+    /// Forget the death of a worker that has returned.
+    CancelDeath {
+        /// The job.
+        job: JobId,
+        /// The tile.
+        tile: TileIndex,
+        /// The worker's name.
+        worker: String,
+        /// The reason that is kept.
+        reason: String,
+    },
     /// Set tiles aside, in this order: [`Event::SetAside`] for each.
     SetAside {
         /// The job.
@@ -193,6 +218,8 @@ pub(crate) enum Note {
     Doubled(Lease),
     /// A tile failed on this worker.
     TileFailed(Lease, String, String),
+    /// This worker died with a tile.
+    Died(Lease, String),
     /// A tile was computed again with the same bytes, by this worker.
     Agrees(JobId, TileIndex, String),
     /// A tile was computed again with other bytes; all who had a hand in any of them.

@@ -65,13 +65,15 @@ impl Machine {
         self.list_job(id);
     }
 
-    /// Decides on a tile whose failure is recorded.
-    pub(super) fn judge(&mut self, id: JobId, tile: TileIndex, on: u32, reason: &str) {
+    /// Decides on a tile whose failure is recorded: on how many workers it has failed, and whether this one
+    /// is a death.
+    pub(super) fn judge(&mut self, id: JobId, tile: TileIndex, (on, died): (u32, bool), reason: &str) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let Some(t) = job.tiles.get_mut(tile.at()) else { return };
         t.judged = false;
-        t.attempts += 1;
-        if t.output == Output::Open && (on >= WORKERS_TO_FAIL || t.attempts >= MAX_ATTEMPTS) {
+        t.attempts += u32::from(!died);
+        let attempts = t.attempts.saturating_add(t.deaths.len() as u32);
+        if t.output == Output::Open && (on >= WORKERS_TO_FAIL || attempts >= MAX_ATTEMPTS) {
             let tiles = job.lost_with(tile);
             for lost in &tiles {
                 job.tiles[lost.at()].judged = true;
@@ -79,7 +81,10 @@ impl Machine {
             }
             // The tiles that need it first: if this is interrupted half-way, the tile is still open and fails
             // again.
-            let reason = format!("tile {tile} failed on {on} workers: {reason}");
+            let reason = match on {
+                1 => format!("tile {tile} failed {attempts} times on one worker: {reason}"),
+                _ => format!("tile {tile} failed on {on} workers: {reason}"),
+            };
             let work = std::sync::Arc::clone(&job.work);
             self.effects.push(Effect::Run(Command::SetAside { job: id, work, tiles, reason }));
         }

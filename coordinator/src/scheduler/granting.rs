@@ -11,6 +11,7 @@ use super::event::{Command, Effect, Note};
 use super::machine::Machine;
 use super::messages::{Grant, Now, Order};
 use super::pools::{List, Profile};
+use super::spot::Name;
 use crate::ids::{JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -125,7 +126,7 @@ impl Machine {
     }
 
     /// Asks the store to note that a job runs, before its first tile is leased.
-    fn start(&mut self, id: JobId) {
+    pub(super) fn start(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         if job.record.state.phase() == JobPhase::Queued && !job.pending {
             job.pending = true;
@@ -156,7 +157,7 @@ impl Machine {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let lease = LeaseId { epoch: self.settings.epoch, number: self.next_lease };
         self.next_lease += 1;
-        let name = self.workers.get(&worker).map(|w| w.name.as_str().into()).unwrap_or_default();
+        let name = self.workers.get(&worker).map(|w| Name::clone(&w.signature)).unwrap_or_default();
         job.given.push((lease.number, tile, name));
         let grant = Grant {
             lease: Lease { job: id, tile, id: lease },

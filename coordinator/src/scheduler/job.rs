@@ -56,8 +56,10 @@ pub(crate) struct Tile {
     pub(super) leases: [Option<LeaseId>; 2],
     /// Needed tiles that are not done.
     pub(super) missing: u32,
-    /// Failures of the tile since the coordinator started, on any worker.
+    /// Failures of the tile since the coordinator started, on any worker, without deaths.
     pub(super) attempts: u32,
+    /// The instances of the workers that died with the tile since the coordinator started.
+    pub(super) deaths: Vec<u64>,
     /// Faults of machines and networks since the coordinator started.
     pub(super) faults: u32,
     /// After such a fault the tile waits until then; longer each time.
@@ -238,9 +240,10 @@ impl Job {
                 }
             };
             let (attempts, faults, judged) = (0, 0, false);
-            let leases = [None; 2];
+            let (leases, deaths) = ([None; 2], Vec::new());
             let (missing, not_before) = (0, None);
-            let tile = Tile { output, leases, missing, attempts, faults, not_before, judged, hands, author };
+            let tile =
+                Tile { output, leases, missing, attempts, deaths, faults, not_before, judged, hands, author };
             job.tiles.push(tile);
         }
         for at in 0..job.tiles.len() {

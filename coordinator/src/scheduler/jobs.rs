@@ -1,6 +1,8 @@
 //! Jobs come, change and end; the grace after a restart; what the store refuses.
 
 use std::cmp::Reverse;
+use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::event::{Command, Effect, Note};
 use super::job::{Job, Output};
@@ -36,9 +38,29 @@ impl Machine {
         for (tile, digest) in unchecked {
             self.draw(id, tile, digest);
         }
+        self.set_orphans_aside(id);
         self.list_job(id);
         self.assemble_if_complete(id);
         self.tell_watchers(id);
+    }
+
+    /// Sets open tiles aside that need a tile which was set aside. A late output can replace the stand-in of
+    /// such a tile, and an invalidation then opens it again without the tile that it needs.
+    fn set_orphans_aside(&mut self, id: JobId) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let aside = |tile: &TileIndex| matches!(job.tiles[tile.at()].output, Output::SetAside(_));
+        let orphans: BTreeSet<TileIndex> =
+            job.indices().filter(aside).flat_map(|tile| job.lost_with(tile)).collect();
+        let tiles: Vec<TileIndex> = orphans.into_iter().rev().collect();
+        if tiles.is_empty() {
+            return;
+        }
+        for tile in &tiles {
+            job.tiles[tile.at()].judged = true;
+            job.look_at(*tile);
+        }
+        let (work, reason) = (Arc::clone(&job.work), "a tile that it needs was set aside".to_owned());
+        self.effects.push(Effect::Run(Command::SetAside { job: id, work, tiles, reason }));
     }
 
     /// The first lease that counts of a job that is taken up: one that is still to be given where its tiles
@@ -205,10 +227,12 @@ impl Machine {
                 }
                 id
             }
-            Command::Fail { job: id, tile, .. } => {
+            Command::Fail { job: id, tile, .. } | Command::CountDeath { job: id, tile, .. } => {
                 self.unjudge(id, tile, now);
                 id
             }
+            // The tile keeps a failure too many.
+            Command::CancelDeath { job: id, .. } => id,
             // That nobody knows of the agreement makes later suspicions wider, and nothing wrong.
             Command::Confirm { job: id, .. } => id,
             Command::Quarantine { .. } => {

@@ -69,6 +69,7 @@ impl Machine {
     /// Ends a lease; `revoke` says whether its worker has to be told.
     pub(super) fn end_lease(&mut self, id: LeaseId, revoke: bool) {
         let Some(l) = self.leases.remove(&id) else { return };
+        self.remove_missing(l.worker, id);
         self.timers.remove(&(l.timer, Timer::Lease(id)));
         self.crew_closed(id);
         self.unline(&l, id);
@@ -215,26 +216,33 @@ impl Machine {
         if let Some(w) = self.workers.get_mut(&worker) {
             // Otherwise it would be the first one to get the tile again, because it has none.
             w.silent = why == RAN_OUT;
+            if w.silent && !l.checks {
+                w.unheard.get_or_insert(lease);
+            }
         }
         let name = self.workers.get(&worker).map(|w| w.name.clone());
         self.note(Note::TakenBack(lease, name, why));
         let checks = self.leases.get(&id).is_some_and(|l| l.checks);
+        let missing = self.remove_missing(worker, id);
         self.end_lease(id, true);
         if checks {
             self.check_failed(lease.job, lease.tile, now);
         }
+        if let Some(missing) = missing {
+            self.count_death(missing);
+        }
         self.tell_watchers(lease.job);
     }
 
-    /// Those of the leases that a worker names that are its own from now on.
+    /// Returns the leases named by a worker that belong to the worker from now on.
     ///
-    /// A lease of this epoch counts if it was given and its tile is free or held under it. Which leases
-    /// an earlier epoch gave is not known; the first claim of a tile during the grace counts, unless tiles of
-    /// the job were opened again since.
+    /// A lease of this epoch counts if it was given to this worker and its tile is free or held under it. To
+    /// whom an earlier epoch gave leases is not known; the first claim of a tile during the grace counts,
+    /// unless tiles of the job were opened again since.
     pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
         let mut kept = BTreeSet::new();
         // What a quarantined worker holds does not count.
-        if self.workers.get(&worker).is_some_and(|w| self.quarantined.contains(w.name.as_str())) {
+        if self.workers.get(&worker).is_some_and(|w| self.quarantined.contains(&w.signature)) {
             return Vec::new();
         }
         for lease in held {
@@ -249,12 +257,16 @@ impl Machine {
             if lease.tile.at() >= job.tiles.len() || kept.contains(&lease) {
                 continue;
             }
+            let given_to = job.given_to(lease.id.number, lease.tile);
+            let is_own =
+                given_to.is_some() && given_to.as_ref() == self.workers.get(&worker).map(|w| &w.signature);
             let given = match lease.id.epoch.cmp(&self.settings.epoch) {
                 std::cmp::Ordering::Less => job.grace && same.is_none(),
-                std::cmp::Ordering::Equal => job.given_to(lease.id.number, lease.tile).is_some(),
+                std::cmp::Ordering::Equal => is_own,
                 std::cmp::Ordering::Greater => false,
             };
-            let theirs = same == Some((lease.job, lease.tile));
+            let theirs =
+                same == Some((lease.job, lease.tile)) && (is_own || lease.id.epoch < self.settings.epoch);
             let counts = lease.id >= job.counts_from;
             let free = same.is_none() && given && counts && job.is_ready(lease.tile);
             let Some(profile) = job.record.profile.as_deref().map(Profile::from) else { continue };

@@ -5,12 +5,13 @@
 //! code as the coordinator. Every event costs the logarithm of what there is, except for a job that is taken
 //! up or ends, and a tile that is set aside, which look at all tiles of one job.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
 use sightline_numbers::random::SplitMix64;
 
 use super::crew::Crew;
+use super::death::{Death, Missing};
 use super::event::{Command, Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::ledger::Ledger;
@@ -51,6 +52,8 @@ pub(crate) struct Settings {
 #[derive(Debug)]
 pub(super) struct Worker {
     pub(super) name: String,
+    /// The name with the worker's identity.
+    pub(super) signature: Name,
     /// Version of its program.
     pub(super) version: String,
     /// When it connected and when its last message came, in milliseconds since 1970.
@@ -67,6 +70,8 @@ pub(super) struct Worker {
     pub(super) deaf_until: Option<u64>,
     /// A lease of it ran out although its stream is there: it gets nothing until it asks again.
     pub(super) silent: bool,
+    /// The first lease that ran out since it has said anything.
+    pub(super) unheard: Option<Lease>,
     pub(super) leases: BTreeSet<LeaseId>,
     /// Whether it can help leaders, and the one whom it helps.
     pub(super) can_help: bool,
@@ -133,6 +138,10 @@ pub(crate) struct Machine {
     /// Connected workers that sent an instance: by name, and by instance.
     pub(super) names: BTreeMap<String, WorkerId>,
     pub(super) instances: BTreeMap<u64, WorkerId>,
+    /// Workers whose streams have ended and that may return.
+    pub(super) missing: BTreeMap<WorkerId, Missing>,
+    /// Deaths that are cancelled if the worker returns, from the oldest.
+    pub(super) deaths: VecDeque<Death>,
     /// Leased tiles whose leaders can use helpers.
     pub(super) crews: BTreeMap<LeaseId, Crew>,
     /// Users with open jobs.
@@ -145,9 +154,9 @@ pub(crate) struct Machine {
     pub(super) paused_until: Option<u64>,
     /// Done tiles that are to be checked.
     pub(super) spotted: BTreeSet<(JobId, TileIndex)>,
-    /// Workers that get no tiles because others have computed other bytes, and for which tiles.
+    /// Workers that get no tiles because others have computed other bytes, by signature, and for which tiles.
     pub(super) suspects: BTreeMap<Name, BTreeSet<(JobId, TileIndex)>>,
-    /// Workers that get no tiles because their bytes were wrong.
+    /// The signatures of workers that get no tiles because their bytes were wrong.
     pub(super) quarantined: BTreeSet<Name>,
     /// What the store has refused to note about wrong workers.
     pub(super) unsaid: Vec<Command>,
@@ -172,6 +181,8 @@ impl Machine {
             leases: BTreeMap::new(),
             names: BTreeMap::new(),
             instances: BTreeMap::new(),
+            missing: BTreeMap::new(),
+            deaths: VecDeque::new(),
             crews: BTreeMap::new(),
             accounts: BTreeMap::new(),
             pools: Pools::default(),
@@ -217,7 +228,9 @@ impl Machine {
             Event::Swept => self.swept(),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
-            Event::FailureRecorded { job, tile, on, reason } => self.judge(job, tile, on, &reason),
+            Event::FailureRecorded { job, tile, on, reason, died } => {
+                self.judge(job, tile, (on, died), &reason);
+            }
             Event::SetAside { job, tile, digest } => self.tile_set_aside(job, tile, digest),
             Event::Bound(job, profile) => self.bound(job, profile),
             Event::Refused(command) => self.refused(command, now),
@@ -318,13 +331,13 @@ impl Machine {
         }
     }
 
-    /// What an output that arrives under a lease has to be checked against, and whether it counts.
+    /// Returns the facts for checking an output that arrives under a lease, and whether the output counts.
     ///
-    /// It counts when the lease was given, however long ago, to somebody who is not quarantined. A lease of
-    /// this epoch is known exactly. One of an earlier epoch is accepted, because nothing says whether it
-    /// was given: its output is the first of the tile, or the same, or refused. An output of a done tile
-    /// can only be compared with the one that stays. None counts that was leased before tiles of the job were
-    /// opened again: it may be computed from them.
+    /// An output counts if the lease was given, however long ago, to a worker that is not quarantined. The
+    /// scheduler knows the holder of a lease of this epoch. A lease of an earlier epoch is accepted: its tag,
+    /// which the caller has checked, proves that it was given. Its output is the first of the tile, or the
+    /// same, or rejected. An output of a done tile can only be compared with the one that stays. None counts
+    /// that was leased before tiles of the job were opened again: it may be computed from them.
     ///
     /// # Errors
     /// The reason, when there is no such tile.
@@ -336,7 +349,7 @@ impl Machine {
         // Who had a lease of an earlier epoch is known if it was claimed. Where results are checked, others
         // do not count: nobody could be asked for them.
         let holder = self.leases.get(&lease.id).filter(|l| (l.job, l.tile) == (lease.job, lease.tile));
-        let holder = holder.and_then(|l| self.workers.get(&l.worker)).map(|w| Name::from(w.name.as_str()));
+        let holder = holder.and_then(|l| self.workers.get(&l.worker)).map(|w| Name::clone(&w.signature));
         let trusting = self.settings.spot_check <= 0.0 && self.quarantined.is_empty();
         let earlier = lease.id.epoch < self.settings.epoch && (trusting || holder.is_some());
         let given = given.or(holder);
@@ -401,7 +414,7 @@ impl Machine {
 pub(crate) struct Admitted {
     /// What the job computes.
     pub(crate) work: Arc<Work>,
-    /// The name of the worker that got the lease; empty when that is not known.
+    /// The signature of the worker that got the lease; empty when that is not known.
     pub(crate) worker: String,
     /// Others who had a hand in the tile.
     pub(crate) helpers: Vec<String>,

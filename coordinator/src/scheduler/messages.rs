@@ -20,6 +20,8 @@ pub(crate) struct Now {
 pub(crate) struct Introduction {
     /// Its name, for people; unique among the connected workers.
     pub(crate) name: String,
+    /// The name together with the worker's identity, to which authorship and quarantine belong.
+    pub(crate) signature: String,
     /// The version of its program, for people.
     pub(crate) version: String,
     /// A random number drawn when the worker started; 0 when it sends none.

@@ -1,13 +1,12 @@
 //! The scheduler: jobs that have not ended, their tiles, the connected workers and the leases.
 //!
-//! [`Machine`] decides which worker gets which tile, from events and the time alone; the store keeps the
+//! [`Machine`] decides which worker gets which tile, from events and the time only; the store keeps the
 //! results. Its state can be derived again from the store and from the workers' introductions.
 //!
-//! A file each: `machine` has the state and the dispatch of events, `jobs`, `leases`, `workers`, `crews`,
-//! `failures`, `checking`, `profiles`, `shares` and `granting` the transitions of their subjects, `pools`
-//! and `queue` the lists that make them cheap, `roster`, `standing`, `counts`, `team`, `unable` and `pace`
-//! what people are told,
-//! `checks` counts everything again.
+//! `machine` has the state and the dispatch of events. `jobs`, `leases`, `workers`, `crews`, `failures`,
+//! `deaths`, `checking`, `profiles`, `shares` and `granting` have the transitions of their subjects. `pools`
+//! and `queue` are the lists that make these cheap. `roster`, `standing`, `counts`, `team`, `unable` and
+//! `pace` compute reports, and `checks` counts everything again.
 
 mod binding;
 mod checking;
@@ -18,6 +17,10 @@ mod crew;
 #[cfg(test)]
 mod crew_tests;
 mod crews;
+mod death;
+#[cfg(test)]
+mod death_tests;
+mod deaths;
 mod event;
 mod failures;
 mod granting;

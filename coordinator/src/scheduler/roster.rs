@@ -37,10 +37,10 @@ pub(crate) struct Held {
 impl Machine {
     /// Why a worker gets no tiles although it asks for some.
     pub(super) fn trouble(&self, worker: &Worker) -> Option<&'static str> {
-        if self.quarantined.contains(worker.name.as_str()) {
+        if self.quarantined.contains(&worker.signature) {
             return Some("it is quarantined: its bytes were not those of others");
         }
-        if self.suspects.contains_key(worker.name.as_str()) {
+        if self.suspects.contains_key(&worker.signature) {
             return Some("another worker has computed other bytes; a third one has to say who is right");
         }
         if worker.silent {
@@ -53,6 +53,7 @@ impl Machine {
     pub(super) fn hear(&mut self, id: WorkerId, now: Now) {
         if let Some(worker) = self.workers.get_mut(&id) {
             worker.heard = now.unix_ms;
+            worker.unheard = None;
         }
     }
 

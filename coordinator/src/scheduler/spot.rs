@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use crate::ids::Digest;
+use crate::ids::{Digest, worker_name};
 
-/// The name of a worker.
+/// The signature of a worker: its name, with its identity where it has one.
 pub(super) type Name = Arc<str>;
 
 /// What somebody has computed for a tile.
@@ -58,10 +58,13 @@ impl Spot {
         }
     }
 
-    /// Whether a worker of this name may not check it.
-    pub(super) fn knows(&self, name: &str) -> bool {
-        let has_hand = |answer: &Answer| !self.helpers_may && answer.workers.contains(name);
-        self.answers.iter().any(|answer| *answer.author == *name || has_hand(answer))
+    /// Returns true if a worker with this signature must not check the tile. A worker without credentials has
+    /// another identity after a restart, so signatures with the same name count as one.
+    pub(super) fn knows(&self, signature: &str) -> bool {
+        let name = worker_name(signature);
+        let is_same = |other: &Name| worker_name(other) == name;
+        let has_hand = |answer: &Answer| !self.helpers_may && answer.workers.iter().any(is_same);
+        self.answers.iter().any(|answer| is_same(&answer.author) || has_hand(answer))
     }
 
     pub(super) fn is_disputed(&self) -> bool {

@@ -3,7 +3,7 @@
 use super::tests::{Bench, empty};
 use super::*;
 use crate::ids::{JobId, Lease, TileIndex, WorkerId};
-use crate::store::TileStats;
+use crate::store::{JobPhase, JobState, TileStats};
 
 const RIGHT: [u8; 32] = [1; 32];
 const WRONG: [u8; 32] = [2; 32];
@@ -58,6 +58,22 @@ fn a_tile_is_computed_again_elsewhere_before_its_job_ends() {
     b.deliver(bob, "bob", RIGHT);
     assert_eq!(b.assembled, [job]);
     assert!(matches!(&b.ran[..], [Command::Confirm { worker, .. }] if worker == "bob"), "{:?}", b.ran);
+}
+
+#[test]
+fn job_that_was_paused_with_checks_left_ends_after_it_was_resumed() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    b.set(job, &[JobPhase::Running], JobState::Paused);
+    let bob = b.arrive("bob");
+    b.wait(1);
+    assert!(b.grants(bob).is_empty(), "a paused job is not checked");
+    b.set(job, &[JobPhase::Paused], JobState::Queued);
+    b.wait(2);
+    assert_eq!(b.grants(bob).len(), 1);
+    b.deliver(bob, "bob", RIGHT);
+    assert_eq!(b.assembled, [job]);
 }
 
 #[test]

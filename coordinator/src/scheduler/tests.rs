@@ -48,7 +48,14 @@ impl Bench {
                 }
                 Effect::Run(Command::Fail { job, tile, worker, reason }) => {
                     let on = self.store.fail_tile(job, tile, &worker, &reason).unwrap();
-                    self.step(Event::FailureRecorded { job, tile, on, reason });
+                    self.step(Event::FailureRecorded { job, tile, on, reason, died: false });
+                }
+                Effect::Run(Command::CountDeath { job, tile, worker, reason }) => {
+                    let on = self.store.count_death(job, tile, &worker, &reason).unwrap();
+                    self.step(Event::FailureRecorded { job, tile, on, reason, died: true });
+                }
+                Effect::Run(Command::CancelDeath { job, tile, worker, reason }) => {
+                    self.store.forget_failure(job, tile, &worker, &reason).unwrap();
                 }
                 Effect::Run(Command::SetAside { job, tiles, .. }) => {
                     for tile in tiles {
@@ -157,6 +164,14 @@ pub(super) fn empty(epoch: u64) -> Bench {
 }
 
 impl Bench {
+    /// Takes up a job of the store, as after a restart.
+    pub(super) fn reopen(&mut self, id: JobId) {
+        let record = self.store.job(id).unwrap().unwrap();
+        let spec = sightline_proto::v1::JobSpec::decode(record.spec.as_slice()).unwrap();
+        let job = Job::of(record, &spec, self.store.tiles(id).unwrap()).unwrap();
+        self.step(Event::TakenUp(Box::new(job.after_restart())));
+    }
+
     /// A user submits a job of `tiles` tiles; with `ran` it ran before the coordinator started.
     pub(super) fn add(&mut self, tiles: u32, user: &str, priority: i32, ran: bool) -> JobId {
         let spec = JobSpec {
@@ -204,6 +219,7 @@ fn introduction(name: &str, instance: u64) -> Introduction {
     let profiles = vec!["cpu/test".to_owned()];
     Introduction {
         name: name.to_owned(),
+        signature: name.to_owned(),
         version: String::new(),
         instance,
         profiles,

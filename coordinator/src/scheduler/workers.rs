@@ -22,7 +22,7 @@ impl Machine {
     /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
     /// stream; workers that send no instance are all accepted.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
-        let Introduction { name, version, instance, profiles, held, helps } = intro;
+        let Introduction { name, signature, version, instance, profiles, held, helps } = intro;
         if instance != 0 {
             if let Some(other) = self.names.get(&name).and_then(|id| self.workers.get(id))
                 && other.instance != instance
@@ -32,9 +32,10 @@ impl Machine {
             }
             // The coordinator may not have noticed yet that the worker's earlier stream is broken.
             if let Some(earlier) = self.instances.get(&instance).copied() {
-                self.remove_worker(earlier, now);
+                self.remove_worker(earlier, now, false);
             }
         }
+        self.note_return(&name, instance);
         let number = WorkerId(self.next_worker);
         self.next_worker += 1;
         if instance != 0 {
@@ -47,6 +48,7 @@ impl Machine {
         let alone = alone(&profiles);
         let worker = Worker {
             name,
+            signature: signature.into(),
             version,
             joined: now.unix_ms,
             heard: now.unix_ms,
@@ -58,6 +60,7 @@ impl Machine {
             draining: false,
             deaf_until: None,
             silent: false,
+            unheard: None,
             leases: BTreeSet::new(),
             can_help: helps,
             helps: None,
@@ -77,14 +80,17 @@ impl Machine {
 
     /// Removes a worker whose stream has ended.
     pub(super) fn leave(&mut self, worker: WorkerId, now: Now) {
-        let departure = self.remove_worker(worker, now);
+        let departure = self.remove_worker(worker, now, true);
         self.effects.push(Effect::Left(departure));
     }
 
     /// Removes a worker. Its leases live a little longer, so that it can return for them; of a worker that
-    /// was draining, those of tiles that it has begun.
-    fn remove_worker(&mut self, id: WorkerId, now: Now) -> Departure {
+    /// was draining, only the leases of tiles that it has begun. `is_missing`: it has not returned yet.
+    fn remove_worker(&mut self, id: WorkerId, now: Now, is_missing: bool) -> Departure {
         let Some(mut w) = self.workers.remove(&id) else { return Departure::Lost };
+        if is_missing && !w.draining {
+            self.miss(id, &w);
+        }
         self.unlist_worker(id, &w);
         if let Some(helped) = w.helps.take() {
             self.has_left(helped.id, id);
@@ -129,7 +135,7 @@ impl Machine {
             // A worker that wants more than it may hold is at fault.
             let room = MOST_HELD.saturating_sub(w.leases.len() as u32);
             w.wants = w.wants.saturating_add(tiles).min(room);
-            w.silent = false;
+            (w.silent, w.unheard) = (false, None);
             self.list_worker(worker);
         }
     }
@@ -157,7 +163,7 @@ impl Machine {
     /// Puts a worker into the lists in which it belongs now.
     pub(super) fn list_worker(&mut self, id: WorkerId) {
         let Some(w) = self.workers.get(&id) else { return };
-        let (idle, fit) = (w.leases.is_empty(), !w.draining && !self.is_barred(&w.name));
+        let (idle, fit) = (w.leases.is_empty(), !w.draining && !self.is_barred(&w.signature));
         let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];

@@ -1,12 +1,14 @@
 //! Runs the coordinator's blocking work off the async threads.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
 use crate::chores::do_chores;
+use crate::limits::{Turn, Turns};
 use crate::scheduling::Chore;
 use crate::state::Coordinator;
 
@@ -46,6 +48,53 @@ pub(super) async fn blocking_one_of<T: Send + 'static>(
         f(c)
     })
     .await
+}
+
+/// A question whose asker waits. When the call is dropped, the flag is set.
+struct OpenQuestion(Arc<AtomicBool>);
+
+impl Drop for OpenQuestion {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Answers a question in its user's turn, as [`blocking`] does. `answer` looks at its second argument from
+/// time to time and stops when that is true: the asker has gone.
+///
+/// # Errors
+/// As [`blocking`]; RESOURCE_EXHAUSTED when the user has too many questions that wait.
+pub(super) async fn in_turn<T: Send + 'static>(
+    c: &Arc<Coordinator>,
+    turns: &Turns,
+    user: &str,
+    answer: impl FnOnce(&Arc<Coordinator>, &dyn Fn() -> bool) -> Result<T, Status> + Send + 'static,
+) -> Result<T, Status> {
+    let turn = turns.take(user).await.map_err(|beyond| {
+        c.metrics.refused(beyond.name());
+        Status::resource_exhausted(beyond.to_string())
+    })?;
+    let gone = Arc::new(AtomicBool::new(false));
+    let _open = OpenQuestion(Arc::clone(&gone));
+    blocking(c, move |c| {
+        // The turn ends with the work, also when the caller has gone.
+        let _turn = turn;
+        answer(c, &|| gone.load(Ordering::Relaxed))
+    })
+    .await
+}
+
+/// Waits for the turn of a user to hold a large upload in memory, if it `is` large. The name is empty for
+/// workers.
+///
+/// # Errors
+/// RESOURCE_EXHAUSTED when too many requests wait.
+pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Option<Turn>, Status> {
+    if !is {
+        return Ok(None);
+    }
+    let turn = c.large.take(user).await;
+    turn.map(Some).map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
 }
 
 /// Does chores on one of tokio's threads for blocking work; the caller does not wait for them.

@@ -7,24 +7,24 @@ use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use futures::future::BoxFuture;
 use http_body::{Body as HttpBody, Frame, SizeHint};
 use prometheus_client::metrics::counter::Counter;
 use prost::Message as _;
-use tokio::time::Sleep;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, HeaderValue, Request, Response};
 use tonic::{Code, Status};
 use tower::{Layer, Service};
 use tracing::Instrument as _;
 
-use crate::limits::Permit;
+use super::connections::Peer;
+use super::guard::CallRight;
+use super::silence::UntilSilent;
 use crate::state::Coordinator;
 
-/// How long the next part of a request may take. Streams that workers keep open are not bounded by it.
-const LONGEST_SILENCE: Duration = Duration::from_secs(60);
+/// The streams that workers keep open, which are silent while a tile is computed.
 const OPEN_ENDED: [&str; 2] = ["Workers/Work", "Workers/Crew"];
 
 const REQUEST_ID: &str = "x-request-id";
@@ -95,10 +95,16 @@ where
         let method = methods.get(request.uri().path()).map_or_else(|| "other".into(), Arc::clone);
         let id = request_id(request.headers());
         let span = tracing::info_span!("call", %method, id = id.to_str().unwrap_or_default());
-        let idle = (!OPEN_ENDED.contains(&&*method)).then(|| Box::pin(tokio::time::sleep(LONGEST_SILENCE)));
-        let call = Call { coordinator, method, begun: Instant::now(), code: None, permit: None };
-        let request =
-            request.map(|body| Body::new(CountedBody { inner: body, bytes: read, call: None, idle }));
+        let silence = request.extensions().get::<Peer>().map(|peer| peer.limits().call_silence);
+        let silence = silence.filter(|_| !OPEN_ENDED.contains(&&*method));
+        let call = Call { coordinator, method, begun: Instant::now(), code: None, held: None };
+        let request = request.map(|body| {
+            let inner = match silence {
+                Some(limit) => Body::new(UntilSilent::new(body, limit)),
+                None => body,
+            };
+            Body::new(CountedBody { inner, bytes: read, call: None })
+        });
         let answer = self.inner.call(request);
         let answer = async move {
             let mut call = call;
@@ -107,9 +113,9 @@ where
             // An answer without a body has its code here, others have it at their end.
             let code = Status::from_header_map(response.headers()).map(|status| status.code());
             call.code = code;
-            call.permit = response.extensions_mut().remove::<Arc<Permit>>();
+            call.held = response.extensions_mut().remove::<Arc<CallRight>>();
             let call = Some(call).filter(|_| code.is_none());
-            Ok(response.map(|body| Body::new(CountedBody { inner: body, bytes: written, call, idle: None })))
+            Ok(response.map(|body| Body::new(CountedBody { inner: body, bytes: written, call })))
         };
         Box::pin(answer.instrument(span))
     }
@@ -137,8 +143,8 @@ struct Call {
     begun: Instant,
     /// Its code, once it is known. A call whose caller has gone has none.
     code: Option<Code>,
-    /// The right to it.
-    permit: Option<Arc<Permit>>,
+    /// The right to it, and its memory.
+    held: Option<Arc<CallRight>>,
 }
 
 impl Drop for Call {
@@ -176,8 +182,6 @@ struct CountedBody {
     inner: Body,
     bytes: Counter,
     call: Option<Call>,
-    /// Of a request: until when its next part must have come.
-    idle: Option<Pin<Box<Sleep>>>,
 }
 
 impl HttpBody for CountedBody {
@@ -189,14 +193,6 @@ impl HttpBody for CountedBody {
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
         let frame = Pin::new(&mut self.inner).poll_frame(context);
-        if let Some(idle) = &mut self.idle {
-            if frame.is_ready() {
-                idle.as_mut().reset(tokio::time::Instant::now() + LONGEST_SILENCE);
-            } else if idle.as_mut().poll(context).is_ready() {
-                let text = format!("nothing came for {} s; send it again", LONGEST_SILENCE.as_secs());
-                return Poll::Ready(Some(Err(Status::deadline_exceeded(text))));
-            }
-        }
         if let Poll::Ready(Some(Ok(frame))) = &frame {
             if let Some(data) = frame.data_ref() {
                 self.bytes.inc_by(data.len() as u64);

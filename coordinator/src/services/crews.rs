@@ -1,19 +1,24 @@
 //! The streams of crews: the leader's and the helpers'.
 
+use std::io::Read;
 use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt as _;
-use sightline_proto::chunks::{self, Blobs};
+use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 use super::blocking::{blocking, later};
+use super::status;
 use crate::chronicle::{Happening, Kind};
 use crate::crews::{Room, Take, Told};
+use crate::ids::Lease;
+use crate::limits::Sender;
 use crate::sessions;
+use crate::spool::Spool;
 use crate::state::Coordinator;
 use crate::store::MAX_OUTCOME_BYTES;
 
@@ -33,12 +38,32 @@ struct Gone;
 /// Sends an outcome in pieces. Ends quietly when it is not there any more: the tile is done then.
 async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -> Result<(), Gone> {
     let tile = room.tile();
-    let read = blocking(c, move |c| Ok(c.crews.outcomes.get(tile, phase))).await;
-    let Ok(Some(bytes)) = read else { return Err(Gone) };
-    for chunk in chunks::cut(&bytes) {
-        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk), micros: 0 })).await?;
+    let opened = blocking(c, move |c| Ok(c.crews.outcomes.open(tile, phase))).await;
+    let Ok(Some((total, mut from))) = opened else { return Err(Gone) };
+    let mut offset = 0;
+    loop {
+        // One chunk is in memory at a time, whatever the length of the outcome.
+        let (data, rest) = blocking(c, move |_| {
+            let mut data = Vec::new();
+            let read = from.by_ref().take(chunks::CHUNK_BYTES as u64).read_to_end(&mut data);
+            read.map_err(|e| Status::data_loss(format!("an outcome cannot be read: {e}")))?;
+            Ok((data, from))
+        })
+        .await
+        .map_err(|_| Gone)?;
+        from = rest;
+        let end = offset + data.len() as u64;
+        let is_cut = data.is_empty() && end < total;
+        let chunk = Some(chunks::chunk(data, offset, total));
+        if is_cut {
+            return Err(Gone);
+        }
+        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk, micros: 0 })).await?;
+        if end >= total {
+            return Ok(());
+        }
+        offset = end;
     }
-    Ok(())
 }
 
 /// The leader's stream, until it ends. It is sent the outcomes that are there from phase `from` on.
@@ -106,7 +131,7 @@ async fn hear_leader(
     room: &Arc<Room>,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
-    let mut outcomes = Blobs::new(MAX_OUTCOME_BYTES);
+    let mut outcome = None;
     let mut over = room.is_over.subscribe();
     loop {
         let message = tokio::select! {
@@ -122,31 +147,18 @@ async fn hear_leader(
                 }
                 room.pass(take.member, Take { phase: take.phase, items: take.items });
             }
-            Some(Message::Outcome(piece)) => {
-                let whole = outcomes.push(&piece.chunk.unwrap_or_default());
-                if let Some(bytes) = whole.map_err(|e| Status::data_loss(e.to_string()))? {
-                    let profile = {
-                        let scheduling = c.lock();
-                        let job = scheduling.machine.job(room.lease.job);
-                        let job = job.filter(|_| scheduling.machine.is_leased(&room.lease));
-                        job.map(|job| job.record.profile.clone().unwrap_or_default())
-                    };
-                    let Some(profile) = profile else {
-                        // The tile is done, or somebody else's; its crew has no more use.
-                        tracing::debug!("an outcome of tile {} came after its lease", room.lease.tile);
-                        return Ok(());
-                    };
-                    let (tile, phase) = (room.tile(), piece.phase);
-                    let kept = blocking(c, move |c| Ok(c.crews.outcomes.push(tile, phase, &bytes))).await?;
-                    if kept {
-                        c.metrics.phase_done(&profile, Duration::from_micros(piece.micros));
-                        room.outcomes.send_replace(phase + 1);
-                        let text = format!("tile {}: phase {phase} is finished", room.lease.tile);
-                        c.happened(Happening::of_lease(Kind::Round, &room.lease, text));
-                    } else {
-                        // Helpers wait for every outcome, so without this one they are of no use.
-                        return Err(Status::resource_exhausted("an outcome could not be kept"));
-                    }
+            Some(Message::Outcome(mut piece)) => {
+                let chunk = piece.chunk.take().unwrap_or_default();
+                let arrived = arrived(c, room.lease, outcome.take(), chunk).await?;
+                let Some(spool) = arrived else {
+                    // The tile is done, or another worker's; its crew has no more use.
+                    tracing::debug!("an outcome of tile {} came after its lease", room.lease.tile);
+                    return Ok(());
+                };
+                if spool.is_complete() {
+                    keep(c, room, spool, &piece).await?;
+                } else {
+                    outcome = Some(spool);
                 }
             }
             Some(Message::Dismiss(dismiss)) => room.leave(dismiss.member),
@@ -158,6 +170,67 @@ async fn hear_leader(
             }
         }
     }
+}
+
+/// Stores an outcome that has arrived.
+async fn keep(
+    c: &Arc<Coordinator>,
+    room: &Arc<Room>,
+    mut spool: Spool,
+    piece: &v1::CrewOutcome,
+) -> Result<(), Status> {
+    let (tile, phase, lease) = (room.tile(), piece.phase, room.lease);
+    let profile = {
+        let scheduling = c.lock();
+        let job = scheduling.machine.job(lease.job).filter(|_| scheduling.machine.is_leased(&lease));
+        job.map(|job| job.record.profile.clone().unwrap_or_default())
+    };
+    let Some(profile) = profile else {
+        // The tile is done, or another worker's; the next message of its leader finds no lease.
+        tracing::debug!("an outcome of tile {} came after its lease", lease.tile);
+        return Ok(());
+    };
+    let kept = blocking(c, move |c| {
+        let digest = spool.digest().map_err(|e| status::of_spool(&e))?;
+        let of = (spool.announced(), blake3::Hash::from_bytes(digest));
+        let push = |from: &mut dyn Read| c.crews.outcomes.push_from(tile, phase, of, from);
+        spool.read(c, push).map_err(|e| status::of_blob(&e))
+    });
+    if !kept.await? {
+        // Helpers wait for every outcome, so the crew ends without this one.
+        return Err(Status::resource_exhausted("an outcome could not be kept"));
+    }
+    c.metrics.phase_done(&profile, Duration::from_micros(piece.micros));
+    room.outcomes.send_replace(phase + 1);
+    let text = format!("tile {}: phase {phase} is finished", lease.tile);
+    c.happened(Happening::of_lease(Kind::Round, &lease, text));
+    Ok(())
+}
+
+/// Adds a chunk to an outcome that arrives. The lease and the length are checked before the first byte is
+/// kept; `None` when the lease has ended.
+async fn arrived(
+    c: &Arc<Coordinator>,
+    lease: Lease,
+    outcome: Option<Spool>,
+    chunk: v1::Chunk,
+) -> Result<Option<Spool>, Status> {
+    blocking(c, move |c| {
+        let mut spool = match outcome {
+            Some(spool) => spool,
+            None if !c.lock().machine.is_leased(&lease) => return Ok(None),
+            None if chunk.total > MAX_OUTCOME_BYTES => {
+                let announced = chunk.total;
+                return Err(Status::invalid_argument(format!(
+                    "an outcome of {announced} bytes was announced; a phase has at most {MAX_OUTCOME_BYTES}"
+                )));
+            }
+            None => Spool::begin(c, Sender::Worker, chunk.total).map_err(|e| status::of_spool(&e))?,
+        };
+        spool.push(c, &chunk).map_err(|e| status::of_spool(&e))?;
+        Ok(Some(spool))
+    })
+    .await
 }
 
 /// A helper's stream, until it ends or the crew does.

@@ -85,18 +85,18 @@ impl v1::farm_server::Farm for FarmService {
 
     async fn invalidate(&self, r: Request<v1::InvalidateRequest>) -> Answer<v1::InvalidateResponse> {
         let v1::InvalidateRequest { job, tiles, worker, from_ms, to_ms } = r.into_inner();
-        if job == 0 && worker.is_empty() {
+        if job.is_none() && worker.is_empty() {
             return Err(Status::invalid_argument("name a job, or a worker, or both"));
         }
-        if job == 0 && !tiles.is_empty() {
+        if job.is_none() && !tiles.is_empty() {
             return Err(Status::invalid_argument("tiles are numbered within a job; name the job, too"));
         }
         let which = Which {
-            job: (job > 0).then_some(JobId(job)),
+            job: job.map(JobId),
             tiles: tiles.into_iter().map(TileIndex).collect(),
             worker: Some(worker).filter(|worker| !worker.is_empty()),
-            from_ms,
-            to_ms: if to_ms == 0 { u64::MAX } else { to_ms },
+            from_ms: from_ms.unwrap_or(0),
+            to_ms: to_ms.unwrap_or(u64::MAX),
         };
         blocking(&self.0, move |c| {
             let mut chores = Vec::new();
@@ -127,15 +127,15 @@ impl v1::farm_server::Farm for FarmService {
     type EventsStream = Pin<Box<dyn Stream<Item = Result<v1::Event, Status>> + Send>>;
 
     async fn events(&self, r: Request<v1::EventsRequest>) -> Answer<Self::EventsStream> {
-        if r.get_ref().job > 0 {
-            own_job(&self.0, &r, r.get_ref().job).await?;
+        if let Some(job) = r.get_ref().job {
+            own_job(&self.0, &r, job).await?;
         } else if !caller(&self.0, &r)?.sees_all() {
             return Err(Status::permission_denied(
                 "the events of all jobs need the scope admin; name one of your jobs",
             ));
         }
         let v1::EventsRequest { job, after, follow } = r.into_inner();
-        let job = (job > 0).then_some(JobId(job));
+        let job = job.map(JobId);
         if let Some(job) = job {
             let known =
                 blocking(&self.0, move |c| c.store.job(job).map_err(|e| status::of_store(&e))).await?;

@@ -9,23 +9,18 @@ use axum::Router;
 use axum::http::{StatusCode, header};
 use futures::future::BoxFuture;
 use sightline_proto::connecting::Credentials;
-use tokio::net::TcpListener;
 use tokio::sync::watch;
-use tonic::body::Body;
 use tonic::codegen::http::{Request, Response};
-use tonic::service::Routes;
-use tonic::transport::Server;
-use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
 use tonic::{Code, Status};
-use tower::{Layer as _, Service, ServiceExt as _};
+use tower::{Service, ServiceExt as _};
 
-use super::counting::{Counted, Counting};
+use super::connections::{Listener, Peer, Protocol, ServeError};
 use super::forwarding::Forwarder;
-use super::guard::{Guard, Guarded};
-use super::http::{serve_http, serve_routes};
+use super::http::serve_http;
 use super::metrics::Probed;
-use super::server::{self, KEEPALIVE, ServeError, Services};
+use super::server::{self, Guarding, Services};
 use super::tls::Tls;
+use crate::access::{Need, Scope, needed};
 use crate::lifecycle::OpenError;
 use crate::metrics::standing_by;
 use crate::state::Coordinator;
@@ -69,7 +64,7 @@ enum Now {
     /// The leader is called.
     Elsewhere(Arc<Forwarder>, String),
     /// This coordinator leads.
-    Here(Counted<Guarded<Routes>>, Arc<Coordinator>),
+    Here(Guarding, Arc<Coordinator>),
 }
 
 impl Front {
@@ -119,8 +114,7 @@ impl Front {
                         let routes = self.0.services.routes(&coordinator).await?;
                         server::tick(&coordinator);
                         self.0.services.report_readiness(&coordinator);
-                        let guarded = Guard(Arc::clone(&coordinator)).layer(routes);
-                        let guarded = Counting::of(&coordinator).layer(guarded);
+                        let guarded = Guarding::new(&coordinator, routes);
                         self.answer_with(Now::Here(guarded, coordinator));
                     }
                 }
@@ -144,28 +138,22 @@ impl Front {
         }
     }
 
-    /// Answers calls until the server breaks.
-    ///
-    /// # Errors
-    /// [`ServeError::Broken`].
-    pub async fn serve(&self, listener: TcpListener, tls: Option<Arc<Tls>>) -> Result<(), ServeError> {
-        let answering = Router::new().fallback_service(Answering(self.clone()));
-        let mut server = Server::builder()
-            .http2_keepalive_interval(Some(KEEPALIVE))
-            .max_concurrent_streams(server::MOST_STREAMS);
-        server::run(server.add_routes(Routes::from(answering)), listener, tls).await
+    /// Answers calls until this is dropped.
+    pub async fn serve(&self, listener: Listener, tls: Option<Arc<Tls>>) -> Infallible {
+        listener.serve(tls, Protocol::Http2, Answering(self.clone())).await
     }
 
     /// Serves pages: while it stands by, one that names the leader; then those of the coordinator.
     ///
     /// # Errors
     /// [`ServeError::Broken`].
-    pub async fn serve_http(&self, listener: TcpListener, tls: Option<Arc<Tls>>) -> Result<(), ServeError> {
-        let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
-        // The same socket twice, so that nobody is turned away in between.
-        let listener = listener.into_std().map_err(broken)?;
-        let first = TcpListener::from_std(listener.try_clone().map_err(broken)?).map_err(broken)?;
-        let listener = TcpListener::from_std(listener).map_err(broken)?;
+    pub async fn serve_http(
+        &self,
+        listener: Listener,
+        tls: Option<Arc<Tls>>,
+    ) -> Result<Infallible, ServeError> {
+        // The same socket twice, so that no caller is turned away in between.
+        let first = listener.clone();
         let mut now = self.0.now.subscribe();
         let front = self.clone();
         let pointing = Router::new().fallback(move || {
@@ -173,7 +161,7 @@ impl Front {
             async move { answer }
         });
         let coordinator = tokio::select! {
-            ended = serve_routes(pointing, first, tls.clone()) => return ended,
+            never = first.serve(tls.clone(), Protocol::Http1, pointing) => match never {},
             coordinator = async {
                 let here = now.wait_for(|now| matches!(now, Now::Here(..))).await;
                 here.ok().and_then(|now| match &*now {
@@ -182,8 +170,8 @@ impl Front {
                 })
             } => coordinator,
         };
-        let Some(coordinator) = coordinator else { return Ok(()) };
-        serve_http(coordinator, listener, tls, std::future::pending()).await
+        let Some(coordinator) = coordinator else { return std::future::pending().await };
+        serve_http(coordinator, listener, tls).await
     }
 
     /// Says where the leader is.
@@ -199,17 +187,17 @@ impl Front {
         (StatusCode::SERVICE_UNAVAILABLE, headers, text)
     }
 
-    async fn answer(&self, request: Request<axum::body::Body>) -> Response<Body> {
+    async fn answer(&self, request: Request<axum::body::Body>) -> Response<axum::body::Body> {
         if request.uri().path().starts_with("/grpc.health.v1.Health/") {
             // Of this process, whoever leads. Whether it is ready to lead or to pass calls on belongs here,
             // too.
-            return answered(self.0.services.health().oneshot(request).await);
+            return answered(self.0.services.health().oneshot(request).await).map(axum::body::Body::new);
         }
         let mut now = self.0.now.subscribe();
         let known = tokio::time::timeout(PATIENCE, now.wait_for(|now| !matches!(now, Now::Nobody))).await;
         let now = known.ok().and_then(Result::ok).map(|now| now.clone());
         match now {
-            Some(Now::Here(guarded, _)) => answered(guarded.oneshot(request.map(Body::new)).await),
+            Some(Now::Here(guarded, _)) => answered(guarded.oneshot(request).await),
             Some(Now::Elsewhere(_, leader)) if self.0.certified && is_known_by_certificate(&request) => {
                 Status::unavailable(format!(
                     "this coordinator stands by and cannot pass on a certificate; call the one that leads, \
@@ -217,7 +205,16 @@ impl Front {
                 ))
                 .into_http()
             }
-            Some(Now::Elsewhere(to, _)) => to.forward(request).await,
+            Some(Now::Elsewhere(to, _)) => {
+                let peer = request.extensions().get::<Peer>().cloned();
+                let is_worker = needed(request.uri().path()) == Need::Scope(Scope::Worker);
+                let answer = to.forward(request).await;
+                // The leader's guard answers a call that it does not admit with a status and no body.
+                if let Some(peer) = peer.filter(|_| Status::from_header_map(answer.headers()).is_none()) {
+                    peer.admitted(is_worker);
+                }
+                answer.map(axum::body::Body::new)
+            }
             Some(Now::Nobody) | None => {
                 Status::new(Code::Unavailable, "no coordinator leads at the moment; try again").into_http()
             }
@@ -252,7 +249,7 @@ impl Front {
     }
 }
 
-fn answered(answer: Result<Response<Body>, Infallible>) -> Response<Body> {
+fn answered<B>(answer: Result<Response<B>, Infallible>) -> Response<B> {
     match answer {
         Ok(answer) => answer,
         Err(never) => match never {},
@@ -261,9 +258,8 @@ fn answered(answer: Result<Response<Body>, Infallible>) -> Response<Body> {
 
 /// Whether a caller shows a certificate and no token.
 fn is_known_by_certificate<B>(request: &Request<B>) -> bool {
-    let certificates = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
-    let certificates = certificates.and_then(TlsConnectInfo::peer_certs);
-    certificates.is_some_and(|all| !all.is_empty()) && !request.headers().contains_key(header::AUTHORIZATION)
+    let certificate = request.extensions().get::<Peer>().and_then(|peer| peer.certificate.as_ref());
+    certificate.is_some() && !request.headers().contains_key(header::AUTHORIZATION)
 }
 
 /// The service behind a replica's address.
@@ -281,7 +277,7 @@ impl Service<Request<axum::body::Body>> for Answering {
 
     fn call(&mut self, request: Request<axum::body::Body>) -> Self::Future {
         let front = self.0.clone();
-        Box::pin(async move { Ok(front.answer(request).await.map(axum::body::Body::new)) })
+        Box::pin(async move { Ok(front.answer(request).await) })
     }
 }
 

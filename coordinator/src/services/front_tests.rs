@@ -13,6 +13,7 @@ use tonic::transport::Channel;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
+use super::super::connections::{ConnectionLimits, Connections};
 use super::*;
 use crate::lifecycle::Config;
 use crate::store::{DatabaseAddress, FileBlobs};
@@ -29,7 +30,8 @@ struct One {
 async fn replica(server: &Postgres, name: &'static str) -> One {
     let folder = tempfile::tempdir().unwrap();
     let address = DatabaseAddress::parse(&server.url(), None, None).unwrap();
-    let listener = server::listen("127.0.0.1:0".parse().unwrap(), false).await.unwrap();
+    let connections = Connections::new(ConnectionLimits::for_descriptors(1024));
+    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections).await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
     let own = url.clone();
     let joined = tokio::task::spawn_blocking(move || Replica::join(&address, name, &own)).await.unwrap();

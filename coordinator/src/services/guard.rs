@@ -9,13 +9,14 @@ use std::time::Instant;
 use futures::future::{BoxFuture, Either, Ready, ready};
 use tonic::body::Body;
 use tonic::codegen::http;
-use tonic::transport::server::{TcpConnectInfo, TlsConnectInfo};
 use tonic::{Request, Status};
 use tower::{Layer, Service};
 
 use super::blocking::blocking;
+use super::connections::Peer;
+use super::metered::{LastRoom, Metered, bounded};
 use super::status;
-use crate::access::{Access, Caller, Refusal, Scope, Scopes, needed};
+use crate::access::{Access, Caller, Need, Refusal, Scope, Scopes, needed};
 use crate::ids::JobId;
 use crate::limits::Permit;
 use crate::state::Coordinator;
@@ -40,9 +41,16 @@ pub(super) struct Guarded<S> {
     coordinator: Arc<Coordinator>,
 }
 
-impl<S, B> Service<http::Request<B>> for Guarded<S>
+/// The right to a call and its memory, until the answer has ended.
+pub(super) struct CallRight {
+    _permit: Permit,
+    /// The memory of its last message.
+    _room: LastRoom,
+}
+
+impl<S> Service<http::Request<Body>> for Guarded<S>
 where
-    S: Service<http::Request<B>, Response = http::Response<Body>>,
+    S: Service<http::Request<Body>, Response = http::Response<Body>>,
     S::Future: Send + 'static,
 {
     type Response = S::Response;
@@ -54,24 +62,36 @@ where
         self.inner.poll_ready(context)
     }
 
-    fn call(&mut self, mut request: http::Request<B>) -> Self::Future {
+    fn call(&mut self, mut request: http::Request<Body>) -> Self::Future {
         if let Some(access) = self.coordinator.access.get() {
-            let certificates = request.extensions().get::<TlsConnectInfo<TcpConnectInfo>>();
-            let certificates = certificates.and_then(TlsConnectInfo::peer_certs);
-            let certificate = certificates.as_ref().and_then(|all| all.first()).map(AsRef::as_ref);
+            let peer = request.extensions().get::<Peer>();
+            let certificate =
+                peer.and_then(|peer| peer.certificate.as_ref()).map(|shown| shown.as_ref().as_ref());
             match admitted(access, request.headers(), certificate, request.uri().path()) {
                 Ok(caller) => drop(request.extensions_mut().insert(caller)),
                 Err(status) => return Either::Right(ready(Ok(status.into_http()))),
             }
         }
         let caller = request.extensions().get::<Caller>();
+        let user = bounded(caller).to_owned();
         match permitted(&self.coordinator, caller) {
             Ok(permit) => {
+                if let Some(peer) = request.extensions().get::<Peer>() {
+                    peer.admitted(needed(request.uri().path()) == Need::Scope(Scope::Worker));
+                }
+                let path = request.uri().path().to_owned();
+                let mut room = LastRoom::default();
+                let request = request.map(|body| {
+                    let (body, last) = Metered::new(body, &self.coordinator.intake, &user, &path);
+                    room = last;
+                    Body::new(body)
+                });
+                let held = CallRight { _permit: permit, _room: room };
                 let answer = self.inner.call(request);
                 // It lasts as long as the answer, of a stream until its end: the body takes it from there.
                 Either::Left(Box::pin(async move {
                     let mut answer = answer.await?;
-                    answer.extensions_mut().insert(Arc::new(permit));
+                    answer.extensions_mut().insert(Arc::new(held));
                     Ok(answer)
                 }))
             }
@@ -125,18 +145,23 @@ pub(super) fn admitted_with(
     certificate: Option<&[u8]>,
     path: &str,
 ) -> Result<Caller, Status> {
-    let by = |token, certificate| {
-        let caller = access.identify(token, certificate).map_err(Status::unauthenticated)?;
-        access.permit(&caller, needed(path)).map_err(|refusal| match refusal {
-            Refusal::Unknown(text) => Status::unauthenticated(text),
-            Refusal::Scope(text) => Status::permission_denied(text),
-        })?;
-        Ok(caller)
-    };
-    let caller: Result<Caller, Status> = by(token, certificate);
+    let by = |token, certificate| admitted_by(access, path, |access| access.identify(token, certificate));
     // A worker may have both, and either is enough.
-    let caller =
-        caller.or_else(|status| by(None, certificate.filter(|_| token.is_some())).map_err(|_| status))?;
+    by(token, certificate)
+        .or_else(|status| by(None, certificate.filter(|_| token.is_some())).map_err(|_| status))
+}
+
+/// Returns the caller that `identify` finds, if the caller may call the path.
+pub(super) fn admitted_by(
+    access: &Access,
+    path: &str,
+    identify: impl FnOnce(&Access) -> Result<Caller, &'static str>,
+) -> Result<Caller, Status> {
+    let caller = identify(access).map_err(Status::unauthenticated)?;
+    access.permit(&caller, needed(path)).map_err(|refusal| match refusal {
+        Refusal::Unknown(text) => Status::unauthenticated(text),
+        Refusal::Scope(text) => Status::permission_denied(text),
+    })?;
     Ok(match (access.has_tokens(), caller) {
         // Where clients have no tokens nothing belongs to anybody.
         (false, _) => Caller::Nobody,

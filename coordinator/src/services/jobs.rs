@@ -5,17 +5,17 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::{Stream, StreamExt as _};
-use sightline_model::defaults::with_defaults;
-use sightline_model::{JobSpec, Method};
-use sightline_proto::chunks::{self, Assembler};
+use sightline_model::{JobSpec, Method, SceneFacts};
+use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_scene::{Kind, Rule};
 use sightline_traces::ids::parent_of;
 use tokio::sync::{mpsc, watch};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::blocking::{blocking, blocking_one_of};
+use super::blocking::{blocking, blocking_one_of, in_turn, large};
 use super::guard::{caller, own_job};
+use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
 use crate::access::Caller;
@@ -26,14 +26,20 @@ use crate::ids::{Digest, JobId};
 use crate::jobs::{self, JobError, Summary, Wanted};
 use crate::partial;
 use crate::receivers;
+use crate::results::MAX_LIGHT;
 use crate::scene_files;
 use crate::scenes;
+use crate::spool::Spool;
 use crate::state::{Coordinator, Lacks};
 use crate::store::StoreError;
 use crate::submit::{self, Submission};
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
+/// Maximum number of rules of a scene file.
+const MAX_RULES: usize = 256;
+/// Maximum length of a scene file's name and of the pattern of a rule, in bytes.
+const MAX_PATTERN_BYTES: usize = 1024;
 /// Most jobs of a page.
 const MAX_PAGE: u32 = 1000;
 /// The priorities that jobs may have.
@@ -97,7 +103,14 @@ impl v1::jobs_server::Jobs for JobsService {
             return Err(Status::invalid_argument("the scene has too many chunks; split it"));
         }
         let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        let (owner, asked) = (caller.owner().to_owned(), parts.clone());
         blocking(&self.0, move |c| {
+            scenes::check_sent(c, &owner, whole, &asked).map_err(|e| status::of_upload(&e))
+        })
+        .await?;
+        let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
+        blocking_one_of(&self.0, &self.0.files, move |c| {
+            let _large = large;
             let record =
                 scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
             found::back(c, Lacks::Scene(whole));
@@ -114,7 +127,9 @@ impl v1::jobs_server::Jobs for JobsService {
             return Err(Status::invalid_argument("the receivers have too many chunks; use several jobs"));
         }
         let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
-        blocking(&self.0, move |c| {
+        let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
+        blocking_one_of(&self.0, &self.0.files, move |c| {
+            let _large = large;
             let stored = receivers::put(c, caller.owner(), whole, &parts);
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
             found::back(c, Lacks::Receivers(whole));
@@ -131,15 +146,18 @@ impl v1::jobs_server::Jobs for JobsService {
         let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part) else {
             return Err(Status::invalid_argument("a file's first part must be its header"));
         };
-        let mut whole = Assembler::new(scene_files::MOST_BYTES);
-        while let Some(part) = parts.next().await {
-            let Some(Part::Chunk(chunk)) = part?.part else {
-                return Err(Status::invalid_argument("after a file's header only chunks may come"));
-            };
-            whole.push(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
-        }
-        let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
-        take_file(&self.0, caller, header, bytes.into()).await.map(Response::new)
+        let chunk_of = |part: v1::SceneFilePart| match part.part {
+            Some(Part::Chunk(chunk)) => Ok(chunk),
+            _ => Err(Status::invalid_argument("after a file's header only chunks may come")),
+        };
+        // From here on the header takes little memory, however long the file takes.
+        let (name, rules) = (file_name(header.name)?, rules(header.rules)?);
+        let first = parts.next().await.transpose()?.map(chunk_of).transpose()?;
+        // The first chunk announces the length.
+        let first = first.ok_or_else(|| Status::data_loss("the stream ended before the first chunk"))?;
+        let spool = begin_file(&self.0, &caller, first.total).await?;
+        let spool = filled(&self.0, spool, Some(first), &mut parts, chunk_of).await?;
+        take_file(&self.0, caller, name, rules, spool).await.map(Response::new)
     }
 
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
@@ -159,8 +177,8 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn estimate(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::EstimateResponse> {
         let caller = caller(&self.0, &r)?;
-        let r = r.into_inner();
-        blocking(&self.0, move |c| {
+        let (user, r) = (caller.owner().to_owned(), r.into_inner());
+        in_turn(&self.0, &self.0.lookups, &user, move |c, _| {
             let submission = draft(c, &caller, r)?;
             let estimate = estimate::estimate(c, &caller, &submission).map_err(|e| status::of_submit(&e))?;
             Ok(Response::new(wire::estimate(estimate)))
@@ -248,7 +266,8 @@ impl v1::jobs_server::Jobs for JobsService {
     type FetchPartialStream = ChunkStream;
 
     async fn fetch_partial(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchPartialStream> {
-        so_far(&self.0, own_job(&self.0, &r, r.get_ref().job).await?).await.map(Response::new)
+        let id = own_job(&self.0, &r, r.get_ref().job).await?;
+        so_far(&self.0, caller(&self.0, &r)?.owner(), id).await.map(Response::new)
     }
 
     type FetchStream = ChunkStream;
@@ -276,14 +295,49 @@ impl JobsService {
     }
 }
 
-/// Reads a scene from a file.
-pub(super) async fn take_file(
-    c: &Arc<Coordinator>,
-    caller: Caller,
-    header: v1::SceneFileHeader,
-    bytes: bytes::Bytes,
-) -> Result<v1::SceneFileInfo, Status> {
+/// Returns true if chunks make a whole that is checked while no other large upload is in memory.
+fn is_large(parts: &[Digest]) -> bool {
+    parts.len() as u64 > MAX_LIGHT / chunks::CHUNK_BYTES as u64
+}
+
+/// Begins a scene file of the given number of bytes, if its sender may have one.
+///
+/// # Errors
+/// INVALID_ARGUMENT when a file has at most fewer bytes, RESOURCE_EXHAUSTED when the sender or all together
+/// would have too many.
+pub(super) async fn begin_file(c: &Arc<Coordinator>, caller: &Caller, bytes: u64) -> Result<Spool, Status> {
+    let owner = caller.owner().to_owned();
+    let begin =
+        move |c: &Arc<Coordinator>| scene_files::begin(c, &owner, bytes).map_err(|e| status::of_file(&e));
+    blocking(c, begin).await
+}
+
+/// Returns the name of a scene file, if it is short.
+pub(super) fn file_name(name: String) -> Result<String, Status> {
+    if name.len() > MAX_PATTERN_BYTES {
+        return Err(Status::invalid_argument(format!(
+            "the name of the file has {} bytes; give one of at most {MAX_PATTERN_BYTES}",
+            name.len()
+        )));
+    }
+    Ok(name)
+}
+
+/// Returns the rules of a scene file's header.
+fn rules(given: Vec<v1::KindRule>) -> Result<Vec<Rule>, Status> {
+    if given.len() > MAX_RULES {
+        return Err(Status::invalid_argument(format!(
+            "{} rules were given; a scene file has at most {MAX_RULES}",
+            given.len()
+        )));
+    }
     let rule = |r: v1::KindRule| {
+        if r.glob.len() > MAX_PATTERN_BYTES {
+            return Err(Status::invalid_argument(format!(
+                "the pattern of a rule has {} bytes; give one of at most {MAX_PATTERN_BYTES}",
+                r.glob.len()
+            )));
+        }
         let kind = Kind::from_name(&r.kind).ok_or_else(|| {
             Status::invalid_argument(format!(
                 "{:?} is no kind; give opaque, see-through, occluder-only, moving or doors",
@@ -292,9 +346,21 @@ pub(super) async fn take_file(
         })?;
         Rule::new(kind, &r.glob).map_err(|e| Status::invalid_argument(e.to_string()))
     };
-    let rules = header.rules.into_iter().map(rule).collect::<Result<Vec<_>, _>>()?;
+    given.into_iter().map(rule).collect()
+}
+
+/// Reads a scene from a file.
+pub(super) async fn take_file(
+    c: &Arc<Coordinator>,
+    caller: Caller,
+    name: String,
+    rules: Vec<Rule>,
+    spool: Spool,
+) -> Result<v1::SceneFileInfo, Status> {
+    let large = large(c, caller.owner(), spool.announced() > MAX_LIGHT).await?;
     blocking_one_of(c, &c.files, move |c| {
-        let taken = scene_files::take(c, caller.owner(), &header.name, &bytes, rules);
+        let _large = large;
+        let taken = scene_files::take(c, caller.owner(), &name, spool, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
         found::back(c, Lacks::Scene(record.digest));
         Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
@@ -303,12 +369,14 @@ pub(super) async fn take_file(
 }
 
 /// The result of a job as a stream, or what is done of one that has not ended.
-pub(super) async fn so_far(c: &Arc<Coordinator>, id: JobId) -> Result<ChunkStream, Status> {
+pub(super) async fn so_far(c: &Arc<Coordinator>, user: &str, id: JobId) -> Result<ChunkStream, Status> {
     match blocking(c, move |c| jobs::result(c, id).map(Some).or_else(|e| none_yet(&e))).await? {
         Some(result) => stream_blob(c, result).await,
         None => {
-            let made = move |c: &Arc<Coordinator>| partial::so_far(c, id).map_err(|e| status::of_partial(&e));
-            let bytes = blocking_one_of(c, &c.scenes_in_memory, made).await?;
+            let made = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
+                partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))
+            };
+            let bytes = in_turn(c, &c.questions, user, made).await?;
             stream_bytes(c, bytes).await
         }
     }
@@ -361,22 +429,24 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         Err(StoreError::UnknownScene { .. }) => None,
         Err(e) => return Err(status::of_store(&e)),
     };
-    let mut spec = with_defaults(spec, record.map_or(0, |record| record.triangles));
+    let mut spec = spec.clone();
     if let Some(ambient) = &mut spec.ambient {
         let digest = wire::digest(&ambient.receivers)?;
         let stored = receivers::known(c, caller, digest).map_err(|e| status::of_receivers(&e))?;
         let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
+        let (bytes, points, lights) = (Some(bytes), Some(points), Some(lights));
         *ambient = v1::Ambient { receivers: digest.to_vec(), bytes, points, lights };
     }
-    let spec = &spec;
-    let bounds = match spec.view_box.is_empty() {
+    let bounds = match spec.view_box.is_empty() && spec.ambient.is_none() {
         true => {
             scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
             Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?)
         }
         false => None,
     };
-    let spec = JobSpec::from_proto(spec, bounds).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let facts = SceneFacts { triangles: record.map_or(0, |record| record.triangles), bounds };
+    let spec =
+        JobSpec::from_proto(&spec, Some(facts)).map_err(|e| Status::invalid_argument(e.to_string()))?;
     let priority = checked_priority(r.priority)?;
     let owner = caller.owner().to_owned();
     // Users share the workers evenly, so nobody may take another's share.

@@ -2,6 +2,7 @@
 //!
 //! There are names of workers in it, and no jobs, scenes, users or secrets, so nobody is asked for a token.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use axum::Router;
@@ -9,9 +10,8 @@ use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
-use tokio::net::TcpListener;
 
-use super::server::ServeError;
+use super::connections::{Listener, Protocol};
 use crate::metrics::Moment;
 use crate::readiness::readiness;
 use crate::state::Coordinator;
@@ -43,17 +43,14 @@ impl Probed for Coordinator {
     }
 }
 
-/// Serves what something tells of itself, until the server ends by itself.
-///
-/// # Errors
-/// [`ServeError::Broken`] when it does.
-pub async fn serve_probes<P: Probed>(of: Arc<P>, listener: TcpListener) -> Result<(), ServeError> {
+/// Serves metrics and health until this is dropped.
+pub async fn serve_probes<P: Probed>(of: Arc<P>, listener: Listener) -> Infallible {
     let routes = Router::new()
         .route("/metrics", get(metrics::<P>))
         .route("/livez", get(|| async { "alive\n" }))
         .route("/readyz", get(ready::<P>))
         .with_state(of);
-    axum::serve(listener, routes).await.map_err(|e| ServeError::Broken(e.to_string()))
+    listener.serve(None, Protocol::Http1, routes).await
 }
 
 /// Asks on one of tokio's threads for blocking work.

@@ -1,25 +1,37 @@
 //! The gRPC services: they translate between the wire and the subjects, and decide nothing.
 
+#[cfg(test)]
+mod admission_tests;
+mod answer_right;
 mod blocking;
+#[cfg(test)]
+mod caller_tests;
+mod connections;
 mod counting;
 mod crews;
 mod farm;
 mod forwarding;
 mod front;
+#[doc(hidden)]
+pub mod fuzzing;
 mod guard;
 mod http;
 mod jobs;
+mod metered;
 mod metrics;
 mod results;
 mod server;
+mod silence;
+mod spooling;
 mod status;
 mod streams;
 mod tls;
 mod wire;
 mod workers;
 
+pub use connections::{ConnectionLimits, Connections, FewDescriptors, Listener, ServeError};
 pub use front::{Front, ReplicaError};
 pub use http::serve_http;
 pub use metrics::{Probed, serve_probes};
-pub use server::{ServeError, listen, serve};
+pub use server::serve;
 pub use tls::{Tls, TlsError, TlsFiles};

@@ -1,36 +1,37 @@
 //! The coordinator on the network: its services, health, reflection, and the tick.
 
-use std::net::SocketAddr;
+use std::convert::Infallible;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
+use futures::future::BoxFuture;
 use sightline_proto::v1::farm_server::FarmServer;
 use sightline_proto::v1::jobs_server::JobsServer;
 use sightline_proto::v1::results_server::ResultsServer;
 use sightline_proto::v1::workers_server::WorkersServer;
-use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
-use tokio_stream::wrappers::ReceiverStream;
+use tonic::Status;
 use tonic::body::Body;
 use tonic::codegen::http::{Request, Response};
 use tonic::service::Routes;
-use tonic::transport::Server;
-use tonic::transport::server::{Router, TcpIncoming};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
-use tower::{BoxError, Layer, Service};
+use tower::{Layer as _, Service};
 
 use super::blocking::{blocking, later};
-use super::counting::Counting;
+use super::connections::{Listener, Protocol, ServeError};
+use super::counting::{Counted, Counting};
 use super::farm::FarmService;
-use super::guard::Guard;
+use super::guard::{Guard, Guarded};
 use super::jobs::JobsService;
 use super::results::ResultsService;
-use super::tls::{self, Tls};
+use super::tls::Tls;
 use super::workers::WorkersService;
 use crate::housekeeping::tidy_up;
 use crate::lifecycle;
 use crate::readiness::readiness;
+use crate::retention_stamp;
 use crate::state::Coordinator;
 
 /// How often timers are looked at.
@@ -39,9 +40,6 @@ const TICK: Duration = Duration::from_millis(200);
 /// How often it is looked whether the coordinator is ready.
 const LOOK_EVERY: Duration = Duration::from_secs(10);
 
-/// Calls and streams of a connection at a time.
-pub(super) const MOST_STREAMS: u32 = 256;
-
 /// Ticks between two removals of what is not kept, and before the first one.
 const TIDY: u32 = 5 * 600;
 const TIDY_FIRST: u32 = 5 * 10;
@@ -49,50 +47,13 @@ const TIDY_FIRST: u32 = 5 * 10;
 /// Ticks between two looks at the file of tokens.
 const REFRESH: u32 = 5;
 
-/// How often connections are asked whether they live.
-pub(super) const KEEPALIVE: Duration = Duration::from_secs(10);
-
-/// A coordinator that cannot serve, or whose server stopped.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The address would carry plain text beyond this machine.
-    #[error(
-        "{0} can be reached from other machines and traffic would not be encrypted; give --tls-cert and \
-         --tls-key, listen on 127.0.0.1, or say --allow-plaintext when the network is private"
-    )]
-    Plaintext(SocketAddr),
-    /// The address cannot be listened on.
-    #[error("cannot listen on {address}: {source}; is another coordinator running there?")]
-    Listen {
-        /// The address.
-        address: SocketAddr,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// The server ended by itself.
-    #[error("the server stopped: {0}")]
-    Broken(String),
-}
-
-/// Listens on `address`. Anything but loopback is refused unless `protected`: by encryption, or because the
-/// user says that the network is private.
-///
-/// # Errors
-/// [`ServeError`] when the address is not loopback or cannot be listened on.
-pub async fn listen(address: SocketAddr, protected: bool) -> Result<TcpListener, ServeError> {
-    if !address.ip().is_loopback() && !protected {
-        return Err(ServeError::Plaintext(address));
-    }
-    TcpListener::bind(address).await.map_err(|source| ServeError::Listen { address, source })
-}
-
 /// Serves until `stop` resolves; encrypted if there are certificates.
 ///
 /// # Errors
 /// [`ServeError::Broken`] when the server ends by itself.
 pub async fn serve(
     coordinator: Arc<Coordinator>,
-    listener: TcpListener,
+    listener: Listener,
     tls: Option<Arc<Tls>>,
     stop: impl Future<Output = ()> + Send + 'static,
 ) -> Result<(), ServeError> {
@@ -100,23 +61,70 @@ pub async fn serve(
     let routes = services.routes(&coordinator).await?;
     let ticks = tick(&coordinator);
     let looks = services.report_readiness(&coordinator);
-    let server = Server::builder()
-        .http2_keepalive_interval(Some(KEEPALIVE))
-        .max_concurrent_streams(MOST_STREAMS)
-        .layer(Counting::of(&coordinator))
-        .layer(Guard(Arc::clone(&coordinator)))
-        .add_routes(routes);
-    let server = run(server, listener, tls);
     // Streams that stay open (workers, watchers) would delay a graceful end for ever. They are cut off: every
     // acknowledged change is on the disk already.
-    let ended = tokio::select! {
-        r = server => r,
-        () = stop => Ok(()),
-    };
+    tokio::select! {
+        never = listener.serve(tls, Protocol::Http2, Guarding::new(&coordinator, routes)) => match never {},
+        () = stop => {}
+    }
     ticks.abort();
     looks.abort();
     coordinator.chronicle.write();
-    ended
+    Ok(())
+}
+
+/// The calls of a coordinator: counted, admitted and answered.
+#[derive(Clone)]
+pub(super) struct Guarding(Counted<Guarded<Routes>>);
+
+impl Guarding {
+    /// Puts the layers of a coordinator around its services.
+    pub(super) fn new(coordinator: &Arc<Coordinator>, routes: Routes) -> Self {
+        let guarded = Guard(Arc::clone(coordinator)).layer(routes);
+        Self(Counting::of(coordinator).layer(guarded))
+    }
+}
+
+impl Service<Request<axum::body::Body>> for Guarding {
+    type Response = Response<axum::body::Body>;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Self::Response, Infallible>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Infallible>> {
+        self.0.poll_ready(context)
+    }
+
+    fn call(&mut self, request: Request<axum::body::Body>) -> Self::Future {
+        let limit = request.headers().get("grpc-timeout").and_then(|text| timeout_of(text.to_str().ok()?));
+        let answer = self.0.call(request.map(Body::new));
+        Box::pin(async move {
+            let answer = match limit {
+                None => answer.await?,
+                Some(limit) => match tokio::time::timeout(limit, answer).await {
+                    Ok(answer) => answer?,
+                    Err(_) => Status::deadline_exceeded(format!("no answer within {limit:?}")).into_http(),
+                },
+            };
+            Ok(answer.map(axum::body::Body::new))
+        })
+    }
+}
+
+/// Returns the time that a caller waits for an answer, as the specification of gRPC writes it: up to eight
+/// digits and a unit.
+fn timeout_of(text: &str) -> Option<Duration> {
+    let (at, unit) = text.char_indices().last()?;
+    let digits = text.get(..at).filter(|digits| (1..=8).contains(&digits.len()))?;
+    let count = digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse::<u64>().ok())??;
+    Some(match unit {
+        'H' => Duration::from_secs(count * 3600),
+        'M' => Duration::from_secs(count * 60),
+        'S' => Duration::from_secs(count),
+        'm' => Duration::from_millis(count),
+        'u' => Duration::from_micros(count),
+        'n' => Duration::from_nanos(count),
+        _ => return None,
+    })
 }
 
 /// The services of a process, whose health is known before there is a coordinator.
@@ -188,35 +196,16 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
                 let coordinator = Arc::clone(&coordinator);
                 tokio::task::spawn_blocking(move || tidy_up(&coordinator));
             }
+            if retention_stamp::is_due(&coordinator) {
+                let coordinator = Arc::clone(&coordinator);
+                tokio::task::spawn_blocking(move || retention_stamp::record_if_due(&coordinator));
+            }
             if coordinator.chronicle.has_unwritten() {
                 let coordinator = Arc::clone(&coordinator);
                 tokio::task::spawn_blocking(move || coordinator.chronicle.write());
             }
         }
     })
-}
-
-/// Answers the connections of a listener, encrypted if there are certificates.
-pub(super) async fn run<L>(
-    server: Router<L>,
-    listener: TcpListener,
-    tls: Option<Arc<Tls>>,
-) -> Result<(), ServeError>
-where
-    L: Layer<Routes>,
-    L::Service: Service<Request<Body>, Response = Response<Body>> + Clone + Send + 'static,
-    <L::Service as Service<Request<Body>>>::Future: Send,
-    <L::Service as Service<Request<Body>>>::Error: Into<BoxError> + Send,
-{
-    let served = match tls {
-        // Without nodelay every small answer waits 40 ms for the acknowledgement of the one before.
-        None => server.serve_with_incoming(TcpIncoming::from(listener).with_nodelay(Some(true))).await,
-        Some(tls) => {
-            let incoming = ReceiverStream::new(tls::connections(listener, tls, b"h2"));
-            server.serve_with_incoming(incoming).await
-        }
-    };
-    served.map_err(|e| ServeError::Broken(e.to_string()))
 }
 
 /// Keeps the health of the name `ready` up to date: liveness is the health without a name.
@@ -246,5 +235,22 @@ async fn report_readiness(c: Arc<Coordinator>, health: tonic_health::server::Hea
         }
         health.set_service_status("ready", status).await;
         was = Some(reasons);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timeouts_are_read_as_grpc_writes_them() {
+        for (text, seconds) in [("2H", 7200.0), ("3M", 180.0), ("99999999S", 99_999_999.0), ("5m", 0.005)] {
+            assert_eq!(timeout_of(text), Some(Duration::from_secs_f64(seconds)), "{text}");
+        }
+        assert_eq!(timeout_of("7u"), Some(Duration::from_micros(7)));
+        assert_eq!(timeout_of("7n"), Some(Duration::from_nanos(7)));
+        for bad in ["", "S", "123456789S", "-1S", "1", "1x", "1é"] {
+            assert_eq!(timeout_of(bad), None, "{bad:?}");
+        }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sightline_proto::chunks::ChunkError;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
@@ -9,12 +10,14 @@ use crate::asking::AskError;
 use crate::having::HavingError;
 use crate::jobs::JobError;
 use crate::joining::UploadError;
+use crate::lease_tags::Forged;
 use crate::partial::PartialError;
 use crate::receivers::Fault;
 use crate::results::ResultError;
 use crate::scene_files::FileError;
 use crate::scenes::{FactsError, TakeError};
 use crate::scheduler::NameTaken;
+use crate::spool::SpoolError;
 use crate::store::{BlobError, JournalError, StoreError};
 use crate::submit::SubmitError;
 
@@ -65,15 +68,33 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
         UploadError::Mismatch(_) | UploadError::Scene(_) | UploadError::Receivers(_) => {
             Status::invalid_argument(e.to_string())
         }
-        UploadError::TooLong { .. } => Status::invalid_argument(e.to_string()),
+        UploadError::TooLong { .. } | UploadError::LongChunk { .. } | UploadError::Repeated { .. } => {
+            Status::invalid_argument(e.to_string())
+        }
         UploadError::Having(e) => of_having(e),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
     }
 }
 
+/// Returns the status of an upload that differs from its announcement, or that there is no room for.
+pub(super) fn of_spool(e: &SpoolError) -> Status {
+    match e {
+        SpoolError::Beyond(_) => Status::with_error_details(
+            Code::ResourceExhausted,
+            e.to_string(),
+            ErrorDetails::with_retry_info(Some(AGAIN)),
+        ),
+        SpoolError::Chunk(ChunkError::TooLarge(..)) | SpoolError::Length { .. } => {
+            Status::invalid_argument(e.to_string())
+        }
+        SpoolError::Chunk(_) => Status::data_loss(e.to_string()),
+        SpoolError::Blob(e) => of_blob(e),
+    }
+}
+
 /// The status of something that a user may not have.
-fn of_having(e: &HavingError) -> Status {
+pub(super) fn of_having(e: &HavingError) -> Status {
     match e {
         HavingError::Beyond(beyond) => Status::resource_exhausted(beyond.to_string()),
         HavingError::Store(e) => of_store(e),
@@ -96,6 +117,8 @@ pub(super) fn of_ask(e: &AskError) -> Status {
 pub(super) fn of_file(e: &FileError) -> Status {
     match e {
         FileError::Scene(e) => Status::invalid_argument(e.to_string()),
+        FileError::TooLong { .. } => Status::invalid_argument(e.to_string()),
+        FileError::Spool(e) => of_spool(e),
         FileError::Take(TakeError::Blob(e)) => of_blob(e),
         FileError::Take(TakeError::Store(e)) => of_store(e),
         FileError::Take(TakeError::Having(e)) => of_having(e),
@@ -147,6 +170,7 @@ pub(super) fn of_partial(e: &PartialError) -> Status {
     match e {
         PartialError::Nothing(_) | PartialError::Outdated(_) => Status::failed_precondition(e.to_string()),
         PartialError::Changed(_) => Status::unavailable(e.to_string()),
+        PartialError::Gone => Status::cancelled(e.to_string()),
         PartialError::Store(e) => of_store(e),
         PartialError::Blob(e) => of_blob(e),
         PartialError::Assemble(e) => internal(&e.to_string()),
@@ -157,8 +181,12 @@ pub(super) fn of_partial(e: &PartialError) -> Status {
 pub(super) fn of_result(e: &ResultError) -> Status {
     match e {
         ResultError::Digest | ResultError::Unstaged(_) => Status::data_loss(e.to_string()),
-        ResultError::NoJob(_) | ResultError::NoLease => Status::failed_precondition(e.to_string()),
+        ResultError::Spool(e) => of_spool(e),
+        // The service checks a large output again.
+        ResultError::Large => internal(&e.to_string()),
+        ResultError::NoJob(_) | ResultError::NoLease(_) => Status::failed_precondition(e.to_string()),
         ResultError::Length
+        | ResultError::TooLong { .. }
         | ResultError::NoTile
         | ResultError::Encoding(_)
         | ResultError::Cells
@@ -172,6 +200,11 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         ResultError::Blob(e) => of_blob(e),
         ResultError::Store(e) => of_store(e),
     }
+}
+
+/// Returns the status of a lease that was never given.
+pub(super) fn of_forged(e: &Forged) -> Status {
+    Status::failed_precondition(e.to_string())
 }
 
 /// The status of a worker whose name is taken.

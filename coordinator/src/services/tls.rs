@@ -1,33 +1,15 @@
-//! Encrypted connections: certificate and key of the coordinator, the authority of workers' certificates, and
-//! handshakes, which take no turn of the server. The files can be read again while it serves.
+//! Encryption of connections: certificate and key of the coordinator, and the authority of workers'
+//! certificates. The files can be read again while it serves.
 
-use std::collections::BTreeMap;
-use std::io;
-use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Duration;
+use std::sync::{Arc, PoisonError, RwLock};
 
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, mpsc};
 use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::crypto::ring;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use tokio_rustls::rustls::server::WebPkiClientVerifier;
 use tokio_rustls::rustls::{RootCertStore, ServerConfig};
-use tokio_rustls::server::TlsStream;
-
-/// How long a handshake may take.
-const HANDSHAKE: Duration = Duration::from_secs(5);
-/// Handshakes at a time; further connections wait.
-const HANDSHAKES: usize = 1024;
-/// Handshakes at a time with one address; further connections from there are closed.
-const HANDSHAKES_OF_ADDRESS: usize = 64;
-/// Connections whose handshake is over and that wait for the server.
-const WAITING: usize = 16;
-/// How long to wait when the system has no room for another connection.
-const NO_ROOM: Duration = Duration::from_millis(100);
 
 /// Where certificates and keys are, as PEM.
 #[derive(Clone, Debug)]
@@ -96,7 +78,8 @@ impl Tls {
         self.files.client_ca.is_some()
     }
 
-    fn acceptor(&self, protocol: &[u8]) -> TlsAcceptor {
+    /// Returns an acceptor of encrypted connections for a protocol of TLS's list.
+    pub(super) fn acceptor(&self, protocol: &[u8]) -> TlsAcceptor {
         let mut config = self.config.read().unwrap_or_else(PoisonError::into_inner).clone();
         config.alpn_protocols = vec![protocol.to_vec()];
         TlsAcceptor::from(Arc::new(config))
@@ -144,107 +127,4 @@ fn read(files: &TlsFiles) -> Result<ServerConfig, TlsError> {
         }
     };
     config.with_single_cert(chain, key).map_err(|e| unfit(e.to_string()))
-}
-
-/// The encrypted connections of a listener, for a protocol. They end when nobody takes them any more.
-pub(super) fn connections(
-    listener: TcpListener,
-    tls: Arc<Tls>,
-    protocol: &'static [u8],
-) -> mpsc::Receiver<io::Result<TlsStream<TcpStream>>> {
-    let (out, stream) = mpsc::channel(WAITING);
-    tokio::spawn(async move {
-        let shaking = Arc::new(Semaphore::new(HANDSHAKES));
-        let from_each: Arc<Mutex<BTreeMap<IpAddr, usize>>> = Arc::default();
-        loop {
-            let Ok(turn) = Arc::clone(&shaking).acquire_owned().await else { return };
-            let accepted = tokio::select! {
-                accepted = listener.accept() => accepted,
-                () = out.closed() => return,
-            };
-            let (stream, from) = match accepted {
-                Ok(accepted) => accepted,
-                Err(e) => {
-                    tracing::warn!("a connection was not accepted: {e}");
-                    // Not for one that was given up in between.
-                    if e.kind() != io::ErrorKind::ConnectionAborted {
-                        tokio::time::sleep(NO_ROOM).await;
-                    }
-                    continue;
-                }
-            };
-            let Some(own) = OneOf::take(&from_each, from.ip()) else { continue };
-            let (acceptor, out) = (tls.acceptor(protocol), out.clone());
-            tokio::spawn(async move {
-                match tokio::time::timeout(HANDSHAKE, shake(&acceptor, stream)).await {
-                    // The send fails when the server has ended.
-                    Ok(Ok(stream)) => drop(out.send(Ok(stream)).await),
-                    Ok(Err(e)) => tracing::debug!("{from} made no encrypted connection: {e}"),
-                    Err(_) => tracing::debug!("{from} did not finish its handshake within {HANDSHAKE:?}"),
-                }
-                drop((turn, own));
-            });
-        }
-    });
-    stream
-}
-
-/// A handshake among those of its address.
-struct OneOf(Arc<Mutex<BTreeMap<IpAddr, usize>>>, IpAddr);
-
-impl OneOf {
-    fn take(all: &Arc<Mutex<BTreeMap<IpAddr, usize>>>, from: IpAddr) -> Option<Self> {
-        let mut counts = all.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = counts.entry(from).or_default();
-        (*count < HANDSHAKES_OF_ADDRESS).then(|| {
-            *count += 1;
-            Self(Arc::clone(all), from)
-        })
-    }
-}
-
-impl Drop for OneOf {
-    fn drop(&mut self) {
-        let mut counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = counts.get_mut(&self.1) {
-            *count -= 1;
-            if *count == 0 {
-                counts.remove(&self.1);
-            }
-        }
-    }
-}
-
-async fn shake(acceptor: &TlsAcceptor, stream: TcpStream) -> io::Result<TlsStream<TcpStream>> {
-    stream.set_nodelay(true)?;
-    acceptor.accept(stream).await
-}
-
-/// Encrypted connections for pages.
-pub(super) struct Pages {
-    pub(super) connections: mpsc::Receiver<io::Result<TlsStream<TcpStream>>>,
-    pub(super) address: SocketAddr,
-}
-
-impl axum::serve::Listener for Pages {
-    type Io = TlsStream<TcpStream>;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (Self::Io, Self::Addr) {
-        loop {
-            match self.connections.recv().await {
-                Some(Ok(stream)) => {
-                    let from = stream.get_ref().0.peer_addr().unwrap_or(self.address);
-                    return (stream, from);
-                }
-                Some(Err(e)) => tracing::debug!("{e}"),
-                // Whoever makes connections has ended with its runtime.
-                None => std::future::pending().await,
-            }
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<Self::Addr> {
-        Ok(self.address)
-    }
 }

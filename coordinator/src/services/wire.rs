@@ -6,8 +6,9 @@ use tonic::Status;
 
 use crate::chronicle::{Entry, Kind};
 use crate::estimate::Estimate;
-use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex};
+use crate::ids::{Digest, worker_name};
 use crate::jobs::Summary;
+use crate::lease_tags::{LeaseTags, Use};
 use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
 use crate::specs;
 use crate::state::Lacks;
@@ -34,17 +35,6 @@ pub(super) fn address(address: Address) -> v1::Address {
     v1::Address { url: address.url, seconds, headers: address.headers.into_iter().map(header).collect() }
 }
 
-/// A lease from the wire.
-pub(super) fn lease(l: &v1::Lease) -> Lease {
-    let id = LeaseId { epoch: Epoch(l.epoch), number: l.lease };
-    Lease { job: JobId(l.job), tile: TileIndex(l.tile), id }
-}
-
-/// A lease for the wire.
-pub(super) fn to_lease(l: &Lease) -> v1::Lease {
-    v1::Lease { job: l.job.0, tile: l.tile.0, epoch: l.id.epoch.0, lease: l.id.number }
-}
-
 /// The measured times of a worker's backends.
 pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
     let time = |t: v1::ProfileTime| ProfileTime { profile: t.profile, seconds_per_cube: t.seconds_per_cube };
@@ -52,12 +42,12 @@ pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
 }
 
 /// An order to a worker, about a job with this trace.
-pub(super) fn order(order: Order, trace: Option<TraceId>) -> v1::CoordinatorMessage {
+pub(super) fn order(tags: &LeaseTags, order: Order, trace: Option<TraceId>) -> v1::CoordinatorMessage {
     use v1::coordinator_message::Message;
     let trace = bytes_of(trace);
     let message = match order {
         Order::Grant(grant) => Message::Grant(v1::Grant {
-            lease: Some(to_lease(&grant.lease)),
+            lease: Some(tags.to_wire(&grant.lease, Use::Hold)),
             spec: Some(grant.spec.to_proto()),
             profile: grant.profile,
             // A pack that is absent has an empty digest; the worker then reports the tile as failed.
@@ -65,9 +55,13 @@ pub(super) fn order(order: Order, trace: Option<TraceId>) -> v1::CoordinatorMess
             millis: grant.millis,
             trace,
         }),
-        Order::Revoke(lease) => Message::Revoke(v1::Revoke { lease: Some(to_lease(&lease)) }),
+        Order::Revoke(lease) => {
+            // The receiver knows the lease by its numbers, whether it holds it or helps its holder.
+            let lease = v1::Lease { tag: 0, ..tags.to_wire(&lease, Use::Hold) };
+            Message::Revoke(v1::Revoke { lease: Some(lease) })
+        }
         Order::Help(help) => Message::Help(v1::Help {
-            lease: Some(to_lease(&help.lease)),
+            lease: Some(tags.to_wire(&help.lease, Use::Help)),
             spec: Some(help.spec.to_proto()),
             profile: help.profile,
             trace,
@@ -255,7 +249,7 @@ pub(super) fn tile(view: TileView) -> v1::TileInfo {
         cells_done: view.cells_done,
         samples: view.samples,
         millis: view.millis,
-        workers: view.workers,
+        workers: view.workers.iter().map(|worker| worker_name(worker).to_owned()).collect(),
         failures: view.failures.into_iter().map(failure).collect(),
         conflicts: view.conflicts,
         is_pack: view.is_pack,
@@ -284,7 +278,7 @@ pub(super) fn event(entry: &Entry) -> v1::Event {
         kind: kind.into(),
         job: entry.what.job.map_or(0, |job| job.0),
         tile: entry.what.tile.map(|tile| tile.0),
-        worker: entry.what.worker.clone(),
+        worker: worker_name(&entry.what.worker).to_owned(),
         text: entry.what.text.clone(),
     }
 }

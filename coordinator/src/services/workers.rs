@@ -1,27 +1,29 @@
 //! The `Workers` service: one stream per worker, scenes and packs out, results in.
 
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use futures::{Stream, StreamExt as _};
 use sightline_model::ALGORITHM_VERSION;
-use sightline_model::codec::MAX_UNPACKED;
-use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
 use sightline_traces::TraceId;
 use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::blocking::{blocking, later};
+use super::blocking::{blocking, blocking_one_of, large, later};
+use super::connections::Peer;
+use super::guard::caller;
+use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
 use crate::chores::do_chores;
-use crate::direct;
-use crate::ids::{Digest, JobId, WorkerId};
+use crate::ids::{Digest, JobId, Lease, WorkerId, WorkerIdentity, signature};
+use crate::lease_tags::{LeaseTags, Use};
+use crate::limits::Turn;
 use crate::lost;
 use crate::orders::Outbox;
-use crate::results::{self, Announced, Origin};
+use crate::results::{self, Announced, MAX_LIGHT, Origin, ResultError, Weight};
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
 use crate::sessions::{self, Message};
 use crate::spans::Spans;
@@ -49,9 +51,9 @@ enum Outgoing {
 }
 
 impl Outgoing {
-    fn encode(self) -> Result<v1::CoordinatorMessage, Status> {
+    fn encode(self, tags: &LeaseTags) -> Result<v1::CoordinatorMessage, Status> {
         match self {
-            Self::Order(order, trace) => Ok(wire::order(order, trace)),
+            Self::Order(order, trace) => Ok(wire::order(tags, order, trace)),
             Self::Welcome(welcome) => {
                 let welcome = v1::coordinator_message::Message::Welcome(welcome);
                 Ok(v1::CoordinatorMessage { message: Some(welcome) })
@@ -66,21 +68,27 @@ impl v1::workers_server::Workers for WorkersService {
     type WorkStream = Pin<Box<dyn Stream<Item = Result<v1::CoordinatorMessage, Status>> + Send>>;
 
     async fn work(&self, r: Request<Streaming<v1::WorkerMessage>>) -> Answer<Self::WorkStream> {
-        let mut inbound = r.into_inner();
-        let first = inbound.next().await.transpose()?.and_then(|m| m.message);
+        let caller = caller(&self.0, &r)?;
+        let certificate = r.extensions().get::<Peer>().and_then(|peer| peer.certificate.clone());
+        let first = first(r).await?;
+        let (first, inbound) = (first.0.and_then(|m| m.message), first.1);
         let Some(FromWorker::Hello(hello)) = first else {
             return Err(Status::invalid_argument("a worker's first message must be Hello"));
         };
         check_hello(&hello)?;
+        let certificate = certificate.as_ref().map(|shown| shown.as_ref().as_ref());
+        let identity = self.0.identities.identify(&caller, certificate, &hello.identity);
+        let identity = identity.map_err(|e| status::of_store(&e))?;
         let (out, outbound) = mpsc::channel(WAITING);
         let (answer, joined) = oneshot::channel();
         // A task of its own from the start: a worker that has joined must leave, even when this call is
         // dropped.
-        tokio::spawn(session(Arc::clone(&self.0), hello, inbound, out, answer));
+        tokio::spawn(session(Arc::clone(&self.0), (hello, identity), inbound, out, answer));
         let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
         joined.await.map_err(stopping)??;
         let outbound = tokio_stream::wrappers::ReceiverStream::new(outbound);
-        Ok(Response::new(Box::pin(outbound.map(Outgoing::encode))))
+        let tags = self.0.lease_tags.clone();
+        Ok(Response::new(Box::pin(outbound.map(move |message| message.encode(&tags)))))
     }
 
     type FetchSceneStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
@@ -103,14 +111,15 @@ impl v1::workers_server::Workers for WorkersService {
     type CrewStream = Pin<Box<dyn Stream<Item = Result<v1::CrewMessage, Status>> + Send>>;
 
     async fn crew(&self, r: Request<Streaming<v1::CrewMessage>>) -> Answer<Self::CrewStream> {
-        let mut inbound = r.into_inner();
-        let first = inbound.next().await.transpose()?.and_then(|m| m.message);
+        let first = first(r).await?;
+        let (first, inbound) = (first.0.and_then(|m| m.message), first.1);
         let Some(v1::crew_message::Message::Enter(v1::CrewEnter { lease: Some(lease), leads, phases })) =
             first
         else {
             return Err(Status::invalid_argument("a member's first message must be Enter, with a lease"));
         };
-        let lease = wire::lease(&lease);
+        let to = if leads { Use::Hold } else { Use::Help };
+        let lease = self.0.lease_tags.check(&lease, to).map_err(|e| status::of_forged(&e))?;
         let (out, outbound) = mpsc::channel(crate::crews::WAITING);
         let c = Arc::clone(&self.0);
         if leads {
@@ -155,29 +164,33 @@ impl v1::workers_server::Workers for WorkersService {
         if !header.staged.is_empty() {
             return self.commit_staged(header, parts).await;
         }
-        let mut whole = Assembler::new(MAX_UNPACKED);
-        while let Some(part) = parts.next().await {
-            match part?.part {
-                Some(v1::result_part::Part::Chunk(chunk)) => {
-                    whole.push(&chunk).map_err(|e| Status::data_loss(e.to_string()))?;
-                }
-                _ => return Err(Status::invalid_argument("after a result's header only chunks may come")),
-            }
+        let announced = announced(&self.0, &header)?;
+        let begin =
+            move |c: &Arc<Coordinator>| results::begin(c, &announced).map_err(|e| status::of_result(&e));
+        let spool = blocking(&self.0, begin).await?;
+        let spool = filled(&self.0, spool, None, &mut parts, |part| match part.part {
+            Some(v1::result_part::Part::Chunk(chunk)) => Ok(chunk),
+            _ => Err(Status::invalid_argument("after a result's header only chunks may come")),
+        })
+        .await?;
+        if spool.digest().map_err(|e| status::of_spool(&e))? != announced.digest {
+            return Err(status::of_result(&ResultError::Digest));
         }
-        let bytes = whole.finish().map_err(|e| Status::data_loss(e.to_string()))?;
-        blocking(&self.0, move |c| {
-            let announced = announced(&header)?;
-            results::put(c, &announced, &Origin::Sent(&bytes)).map_err(|e| status::of_result(&e))?;
-            Ok(Response::new(v1::PutResultResponse {}))
+        // A large output waits on the disk until no other one is in memory, and others until few are checked.
+        let large = large(&self.0, "", announced.bytes > MAX_LIGHT).await?;
+        let spool = Mutex::new(spool);
+        self.commit(large, announced, move |c, weight| {
+            let bytes = spool.lock().unwrap_or_else(PoisonError::into_inner).bytes(c)?;
+            results::put(c, &announced, &Origin::Sent(&bytes), weight)
         })
         .await
     }
 
     async fn stage_result(&self, r: Request<v1::StageResultRequest>) -> Answer<v1::StageResultResponse> {
         let v1::StageResultRequest { lease, sha256, bytes } = r.into_inner();
-        let staged = staged(lease.as_ref(), &sha256, bytes)?;
+        let staged = staged(&self.0, lease.as_ref(), &sha256, bytes)?;
         blocking(&self.0, move |c| {
-            let address = direct::writing(c, &staged).map_err(|e| status::of_blob(&e))?;
+            let address = results::address(c, &staged).map_err(|e| status::of_blob(&e))?;
             Ok(Response::new(v1::StageResultResponse { address: address.map(wire::address) }))
         })
         .await
@@ -222,30 +235,77 @@ impl WorkersService {
         header: v1::ResultHeader,
         mut parts: Streaming<v1::ResultPart>,
     ) -> Answer<v1::PutResultResponse> {
-        let staged = staged(header.lease.as_ref(), &header.staged, header.bytes)?;
+        let staged = staged(&self.0, header.lease.as_ref(), &header.staged, header.bytes)?;
         if parts.next().await.transpose()?.is_some() {
             return Err(Status::invalid_argument("an output that is staged has no chunks"));
         }
-        blocking(&self.0, move |c| {
-            let announced = announced(&header)?;
-            results::put(c, &announced, &Origin::Staged(&staged)).map_err(|e| status::of_result(&e))?;
-            Ok(Response::new(v1::PutResultResponse {}))
+        let announced = announced(&self.0, &header)?;
+        let large = large(&self.0, "", staged.bytes > MAX_LIGHT).await?;
+        self.commit(large, announced, move |c, weight| {
+            results::put(c, &announced, &Origin::Staged(&staged), weight)
         })
         .await
     }
+
+    /// Commits an output by `put`. One that unpacks to much is checked again, while no other large one is.
+    async fn commit(
+        &self,
+        right: Option<Turn>,
+        announced: Announced,
+        put: impl Fn(&Arc<Coordinator>, Weight) -> Result<(), ResultError> + Send + Sync + 'static,
+    ) -> Answer<v1::PutResultResponse> {
+        let put = Arc::new(put);
+        let mut right = right;
+        loop {
+            let (put, held) = (Arc::clone(&put), right.take());
+            let weight = if held.is_some() { Weight::Any } else { Weight::Light };
+            let committed = blocking_one_of(&self.0, &self.0.checks, move |c| {
+                let _held = held;
+                match put(c, weight) {
+                    Ok(()) => Ok(true),
+                    Err(ResultError::Large) => Ok(false),
+                    Err(e) => Err(status::of_result(&e)),
+                }
+            });
+            if committed.await? {
+                return Ok(Response::new(v1::PutResultResponse {}));
+            }
+            tracing::debug!("the output of tile {} is large", announced.lease.tile);
+            right = large(&self.0, "", true).await?;
+        }
+    }
 }
 
-fn staged(lease: Option<&v1::Lease>, sha256: &[u8], bytes: u64) -> Result<Staged, Status> {
+/// Returns the first message of a stream that stays open, and the stream. Until its first message a stream
+/// counts as idle.
+async fn first<M>(r: Request<Streaming<M>>) -> Result<(Option<M>, Streaming<M>), Status> {
+    let limit = r.extensions().get::<Peer>().map(|peer| peer.limits().idle);
+    let mut inbound = r.into_inner();
+    let first = match limit {
+        None => inbound.next().await,
+        Some(limit) => tokio::time::timeout(limit, inbound.next())
+            .await
+            .map_err(|_| Status::deadline_exceeded(format!("no message within {limit:?}; call again")))?,
+    };
+    Ok((first.transpose()?, inbound))
+}
+
+/// Returns the lease of a result, if it was given.
+fn result_lease(c: &Coordinator, lease: Option<&v1::Lease>) -> Result<Lease, Status> {
     let lease = lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
+    c.lease_tags.check(lease, Use::Hold).map_err(|e| status::of_forged(&e))
+}
+
+fn staged(c: &Coordinator, lease: Option<&v1::Lease>, sha256: &[u8], bytes: u64) -> Result<Staged, Status> {
+    let lease = result_lease(c, lease)?;
     let sha256 = sha256.try_into();
     let sha256 = sha256.map_err(|_| Status::invalid_argument("a result's SHA-256 has 32 bytes"))?;
-    Ok(Staged { lease: wire::lease(lease), sha256, bytes })
+    Ok(Staged { lease, sha256, bytes })
 }
 
-fn announced(header: &v1::ResultHeader) -> Result<Announced, Status> {
-    let lease = header.lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
+fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<Announced, Status> {
     Ok(Announced {
-        lease: wire::lease(&lease),
+        lease: result_lease(c, header.lease.as_ref())?,
         digest: wire::digest(&header.digest)?,
         bytes: header.bytes,
         samples: header.samples,
@@ -301,18 +361,21 @@ impl Outbox for WireOutbox {
 /// A worker's stream, until it ends. Reports through `answer` whether the worker has joined.
 async fn session(
     c: Arc<Coordinator>,
-    hello: v1::Hello,
+    (hello, (identity, shown)): (v1::Hello, (WorkerIdentity, Vec<u8>)),
     inbound: Streaming<v1::WorkerMessage>,
     out: Messages,
     answer: oneshot::Sender<Result<(), Status>>,
 ) {
     let name = hello.name.clone();
+    // A lease of another store is none of this coordinator's: the worker stops its tile.
+    let held = hello.held.iter().filter_map(|lease| c.lease_tags.check(lease, Use::Hold).ok());
     let intro = Introduction {
+        signature: signature(&hello.name, identity),
         name: hello.name,
         version: hello.version,
         instance: hello.instance,
         profiles: hello.profiles,
-        held: hello.held.iter().map(wire::lease).collect(),
+        held: held.collect(),
         helps: hello.helps,
     };
     let outbox = Box::new(WireOutbox(out.clone(), Arc::clone(&c.spans)));
@@ -333,7 +396,7 @@ async fn session(
     let leaving = Leaving { c: Arc::clone(&c), worker: joined.worker, name: name.clone() };
     // As above.
     let _ = answer.send(Ok(()));
-    listen(&c, &name, &joined, inbound, &out).await;
+    listen(&c, &name, &joined, shown, inbound, &out).await;
     drop(leaving);
 }
 
@@ -355,14 +418,16 @@ async fn listen(
     c: &Arc<Coordinator>,
     name: &str,
     joined: &Joined,
+    identity: Vec<u8>,
     mut inbound: Streaming<v1::WorkerMessage>,
     out: &Messages,
 ) {
     let welcome = v1::Welcome {
         epoch: joined.epoch.0,
         lease_millis: c.leases.ttl.as_millis() as u32,
-        kept: joined.kept.iter().map(wire::to_lease).collect(),
+        kept: joined.kept.iter().map(|lease| c.lease_tags.to_wire(lease, Use::Hold)).collect(),
         direct: c.blobs.direct().map(|direct| v1::Direct { ca: direct.authorities().to_vec() }),
+        identity,
     };
     if out.send(Outgoing::Welcome(welcome)).await.is_err() {
         return;
@@ -377,7 +442,7 @@ async fn listen(
             }
         };
         let Some(received) = received else { continue };
-        let handled = match message(received) {
+        let handled = match message(c, received) {
             Ok(None) => Ok(()),
             Ok(Some(message)) => {
                 let failure = matches!(message, Message::Failed(_));
@@ -406,25 +471,30 @@ async fn listen(
 }
 
 /// A worker's message; `None` when it says nothing.
-fn message(message: FromWorker) -> Result<Option<Message>, Status> {
+fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Status> {
+    let given = |lease, to| c.lease_tags.check(&lease, to).map_err(|e| status::of_forged(&e));
     Ok(Some(match message {
         FromWorker::Hello(_) => return Err(Status::invalid_argument("a second Hello on one stream")),
         FromWorker::Want(w) => Message::Want(w.tiles),
         FromWorker::Draining(_) => Message::Draining,
         FromWorker::Progress(p) => {
             let Some(lease) = p.lease else { return Ok(None) };
-            Message::Progress(Progress { lease: wire::lease(&lease), cells: p.cells, samples: p.samples })
+            Message::Progress(Progress {
+                lease: given(lease, Use::Hold)?,
+                cells: p.cells,
+                samples: p.samples,
+            })
         }
         FromWorker::Failed(f) => {
             let Some(lease) = f.lease else {
                 return Err(Status::invalid_argument("a failure must name its lease"));
             };
-            let lease = wire::lease(&lease);
+            let lease = given(lease, Use::Hold)?;
             Message::Failed(Failure { lease, reason: f.reason, infrastructure: f.infrastructure })
         }
         FromWorker::Helped(h) => {
             let Some(lease) = h.lease else { return Ok(None) };
-            Message::Helped(wire::lease(&lease))
+            Message::Helped(given(lease, Use::Help)?)
         }
         FromWorker::Timed(t) => Message::Timed(JobId(t.job), wire::times(t.times)),
     }))

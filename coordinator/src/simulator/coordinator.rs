@@ -1,11 +1,13 @@
 //! What surrounds the state machine in a coordinator: streams, outputs, commands of the store, results.
 
-use super::parts::{Answer, Down, Happening, Up};
+use super::parts::{Answer, Down, Happening, Refusal, Up, digest, output};
 use super::world::{TTL, World};
-use crate::ids::{Epoch, JobId, Lease, LeaseId};
+use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
+use crate::invalidating::unbelieved;
 use crate::scheduler::{Command, Effect, Event, Failure, Machine, Now, Settings};
 use crate::store::{
-    CommitOutcome, JobPhase, JobState, Store as _, StoreError, TileResult, TileState, TileStats,
+    CommitOutcome, JobPhase, JobState, MAX_HELPERS, QuarantineRecord, StoreError, TileCheck, TileResult,
+    TileState, TileStats,
 };
 
 impl World {
@@ -13,6 +15,7 @@ impl World {
     pub(super) fn stop_coordinator(&mut self) {
         self.machine = None;
         self.life += 1;
+        self.close_store();
         for stream in 0..self.streams.len() {
             if !self.streams[stream].closed {
                 self.streams[stream].closed = true;
@@ -23,20 +26,24 @@ impl World {
 
     /// Starts the coordinator on the store.
     pub(super) fn start_coordinator(&mut self) -> Result<(), String> {
-        self.epoch = self.store.begin_epoch().map_err(|e| e.to_string())?;
+        self.open_store()?;
+        self.epoch = self.store().begin_epoch().map_err(|e| e.to_string())?;
         let settings = Settings {
             epoch: Epoch(self.epoch),
             ttl: TTL,
             stuck: 60_000,
             seed: self.below(1 << 40),
-            spot_check: 0.0,
-            spot_seed: 0,
+            spot_check: self.spot_check,
+            spot_seed: 5,
         };
         self.machine = Some(Machine::new(settings));
         self.started = self.now;
         self.ran_before.clear();
         self.claimed.clear();
         self.nothing_is_lost()?;
+        for record in self.store().quarantined().map_err(|e| e.to_string())? {
+            self.tell(Event::Quarantined(record.worker))?;
+        }
         for (id, _) in self.open_jobs() {
             let job = self.job(id);
             let job = if job.record.state == JobState::Running {
@@ -47,6 +54,7 @@ impl World {
             };
             self.tell(Event::TakenUp(Box::new(job)))?;
         }
+        self.begin_faults();
         self.after(1000, Happening::Tick(self.life));
         Ok(())
     }
@@ -102,40 +110,66 @@ impl World {
             self.after(1000, Happening::Deliver(w, life, lease.id));
             return Ok(());
         };
-        if !machine.admit(&lease).is_ok_and(|a| a.counts) {
+        let Some(admitted) = machine.admit(&lease).ok().filter(|a| a.counts) else {
             self.answer(w, life, lease.id, Answer::NotNeeded);
             return Ok(());
-        }
+        };
         if self.disk_full {
             self.answer(w, life, lease.id, Answer::Later);
             return self.tell(Event::DiskFull(lease));
         }
         let broken = self.workers[w].broken && self.one_in(3);
-        let mut digest = [0; 32];
-        digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
-        digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
-        digest[31] = u8::from(broken);
-        let stats =
-            TileStats { samples: 3, cells: 1, millis: 100, worker: format!("w{w}"), ..TileStats::default() };
-        let result = TileResult { digest, bytes: 1, stats: stats.clone() };
-        let (digest, answer) = match self.store.commit_tile(lease.job, lease.tile, result) {
-            Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => (digest, Answer::Kept),
+        let bytes = output(lease.job, lease.tile, broken);
+        let offered = digest(&bytes);
+        if admitted.checks {
+            let wait = self.below(30);
+            let events = vec![Event::Checked { lease, digest: offered }];
+            self.after(wait, Happening::Durable(self.life, w, life, events, lease.id, Answer::Kept));
+            return Ok(());
+        }
+        if !self.keep(&bytes) {
+            self.answer(w, life, lease.id, Answer::Later);
+            return self.tell(Event::DiskFull(lease));
+        }
+        let helpers = admitted.helpers.into_iter().take(MAX_HELPERS).collect();
+        let stats = TileStats {
+            samples: 3,
+            cells: 1,
+            millis: 100,
+            worker: admitted.worker,
+            helpers,
+            at_ms: self.now,
+            ..TileStats::default()
+        };
+        let result = TileResult { digest: offered, bytes: bytes.len() as u64, stats: stats.clone() };
+        let (digest, answer) = match self.store().commit_tile(lease.job, lease.tile, result) {
+            Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => (offered, Answer::Kept),
             Ok(CommitOutcome::Conflict { kept, .. }) => (kept, Answer::Differs),
             Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
                 self.answer(w, life, lease.id, Answer::NotNeeded);
                 return Ok(());
             }
-            Err(e) => return Err(e.to_string()),
+            Err(e) => {
+                if self.refused(&e)? == Refusal::Later {
+                    self.tell(Event::DiskFull(lease))?;
+                }
+                self.answer(w, life, lease.id, Answer::Later);
+                return Ok(());
+            }
         };
+        let mut events = Vec::new();
         if let Answer::Kept = answer {
-            let before = self.acknowledged.insert((lease.job, lease.tile), digest);
-            if before.is_some_and(|b| b != digest) {
+            let before = self.acknowledged.insert((lease.job, lease.tile), bytes.clone());
+            if before.is_some_and(|b| b != bytes) {
                 return Err(format!("{lease:?} was acknowledged with two outputs"));
             }
+        } else if self.spot_check > 0.0 {
+            events.push(Event::Differed { lease, digest: offered });
         }
         let wait = self.below(30);
-        let event = Box::new(Event::Committed { lease, digest, stats });
-        self.after(wait, Happening::Durable(self.life, w, life, event, lease.id, answer));
+        let stats = if let Answer::Kept = answer { stats } else { TileStats::default() };
+        events.push(Event::Committed { lease, digest, stats });
+        self.after(wait, Happening::Durable(self.life, w, life, events, lease.id, answer));
         Ok(())
     }
 
@@ -144,39 +178,82 @@ impl World {
         if self.disk_full {
             return self.tell(Event::Refused(command));
         }
+        let mut events = Vec::new();
+        let outcome = self.outcome(&command, &mut events);
+        events.into_iter().try_for_each(|event| self.tell(event))?;
+        match outcome {
+            // The job has changed in the meantime; the machine has heard of that, or will.
+            Ok(()) | Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => Ok(()),
+            Err(e) => match self.refused(&e)? {
+                Refusal::Later => self.tell(Event::Refused(command)),
+                Refusal::Ended => Ok(()),
+            },
+        }
+    }
+
+    fn outcome(&mut self, command: &Command, events: &mut Vec<Event>) -> Result<(), StoreError> {
         let at = self.unix_ms;
-        let turned = match command {
+        let changed = |record| Event::JobChanged(Box::new(record));
+        match command {
             Command::Bind(id, profile) => {
-                let Ok(bound) = self.store.bind_profile(id, &profile) else { return Ok(()) };
-                return self.tell(Event::Bound(id, bound));
+                events.push(Event::Bound(*id, self.store().bind_profile(*id, profile)?));
             }
-            Command::Start(id) => self.store.set_job_state(id, &[JobPhase::Queued], JobState::Running, at),
+            Command::Start(id) => {
+                let from = [JobPhase::Queued];
+                events.push(changed(self.store().set_job_state(*id, &from, JobState::Running, at)?));
+            }
             Command::Fail { job, tile, worker, reason } => {
-                let on = self.store.fail_tile(job, tile, &worker, &reason).map_err(|e| e.to_string())?;
-                return self.tell(Event::FailureRecorded { job, tile, on, reason });
+                let on = self.store().fail_tile(*job, *tile, worker, reason)?;
+                let (job, tile, reason) = (*job, *tile, reason.clone());
+                events.push(Event::FailureRecorded { job, tile, on, reason, died: false });
+            }
+            Command::CountDeath { job, tile, worker, reason } => {
+                let on = self.store().count_death(*job, *tile, worker, reason)?;
+                let (job, tile, reason) = (*job, *tile, reason.clone());
+                events.push(Event::FailureRecorded { job, tile, on, reason, died: true });
+            }
+            Command::CancelDeath { job, tile, worker, reason } => {
+                self.store().forget_failure(*job, *tile, worker, reason)?;
             }
             Command::SetAside { job, tiles, reason, .. } => {
                 for tile in tiles {
-                    match self.store.set_aside_tile(job, tile, [9; 32], 1, std::slice::from_ref(&reason)) {
+                    let digest = [9; 32];
+                    match self.store().set_aside_tile(*job, *tile, digest, 1, std::slice::from_ref(reason)) {
                         Ok(()) | Err(StoreError::TileNotOpen { .. }) => {
-                            self.tell(Event::SetAside { job, tile, digest: [9; 32] })?;
+                            events.push(Event::SetAside { job: *job, tile: *tile, digest });
                         }
-                        Err(_) => return Ok(()),
+                        Err(e) => return Err(e),
                     }
                 }
-                return Ok(());
             }
-            // No schedule has checks.
-            Command::Confirm { .. } | Command::Quarantine { .. } => return Ok(()),
+            Command::Confirm { job, tile, digest, worker } => {
+                let check = TileCheck { worker: worker.clone(), at_ms: self.now };
+                self.store().confirm_tile(*job, *tile, *digest, check)?;
+            }
+            Command::Quarantine { workers, condemned, reason } => {
+                for (id, tiles) in unbelieved(self.store(), workers, *condemned)? {
+                    let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
+                    self.store().invalidate_tiles(id, &tiles)?;
+                    let open = self.store().tiles(id)?;
+                    let is_open = |tile: TileIndex| open[tile.at()].state == TileState::Open;
+                    self.acknowledged.retain(|(job, tile), _| *job != id || !is_open(*tile));
+                    if !self.store().job(id)?.is_none_or(|job| job.state.phase().ended()) {
+                        events.push(Event::TakenUp(Box::new(self.job(id))));
+                    }
+                }
+                events.push(Event::Swept);
+                for worker in workers {
+                    let (worker, reason) = (worker.clone(), reason.clone());
+                    self.store().quarantine(QuarantineRecord { worker, at_ms: self.now, reason })?;
+                }
+            }
             Command::FailJob(id, reason) => {
                 let from = [JobPhase::Queued, JobPhase::Running];
-                self.store.set_job_state(id, &from, JobState::Failed { reason }, at)
+                let failed = JobState::Failed { reason: reason.clone() };
+                events.push(changed(self.store().set_job_state(*id, &from, failed, at)?));
             }
-        };
-        match turned {
-            Ok(record) => self.tell(Event::JobChanged(Box::new(record))),
-            Err(_) => Ok(()),
         }
+        Ok(())
     }
 
     /// Ends a job whose tiles are complete.
@@ -184,23 +261,17 @@ impl World {
         if self.disk_full {
             return self.tell(Event::AssemblyWaits(id));
         }
-        match self.store.finish_job(id, [5; 32], 1, self.unix_ms) {
+        match self.store().finish_job(id, [5; 32], 1, self.unix_ms) {
             Ok(record) => self.tell(Event::JobChanged(Box::new(record))),
-            Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
-                self.tell(Event::AssemblyDropped(id))
-            }
-            Err(e) => Err(e.to_string()),
+            Err(
+                StoreError::IllegalTransition { .. }
+                | StoreError::UnknownJob { .. }
+                | StoreError::TilesOpen { .. },
+            ) => self.tell(Event::AssemblyDropped(id)),
+            Err(e) => match self.refused(&e)? {
+                Refusal::Later => self.tell(Event::AssemblyWaits(id)),
+                Refusal::Ended => Ok(()),
+            },
         }
-    }
-
-    /// Every output that was acknowledged is in the store, unchanged.
-    pub(super) fn nothing_is_lost(&self) -> Result<(), String> {
-        for ((job, tile), digest) in &self.acknowledged {
-            let kept = self.store.tile(*job, *tile).map_err(|e| e.to_string())?.state;
-            if !matches!(&kept, TileState::Done { digest: d, .. } if d == digest) {
-                return Err(format!("the output of tile {tile} of job {job} is lost: {kept:?}"));
-            }
-        }
-        Ok(())
     }
 }

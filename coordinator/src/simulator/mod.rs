@@ -1,10 +1,12 @@
-//! A simulator of a whole cluster: the scheduler's own state machine and the memory store, with a virtual
-//! clock, simulated workers, streams and clients, and faults of every kind. A schedule is a function of its
-//! seed, so every failure can be repeated.
+//! A simulator of a whole cluster. The scheduler's own state machine runs with a virtual clock, simulated
+//! workers, streams and clients, and faults of every kind. Records are in the memory store, or in the real
+//! store and blobs on a simulated disk that fails. A schedule is a function of its seed, so every failure can
+//! be repeated.
 //!
-//! After every event the machine counts its lists again; the world checks that no acknowledged output is
-//! lost, that no tile changes its output, that no lease is given twice or outlives its rules, that nothing is
-//! leased while an earlier epoch's workers may hold it, and that every job ends once the faults have stopped.
+//! After every event the machine counts its lists again. The world checks that no acknowledged output is
+//! lost, that no tile changes its output, and that no lease is given twice or outlives its rules. It checks
+//! that nothing is leased while an earlier epoch's workers may hold it, and that every job ends once the
+//! faults have stopped.
 //!
 //! ```text
 //! SIGHTLINE_SCHEDULES=1000000 cargo test --workspace --release --lib -- --ignored many_schedules
@@ -12,6 +14,7 @@
 
 mod coordinator;
 mod faults;
+mod ground;
 mod parts;
 mod run;
 mod seeds;

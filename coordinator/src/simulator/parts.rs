@@ -6,8 +6,10 @@ use sightline_model::JobSpec;
 use sightline_scene::Aabb;
 use sightline_viewcells::{Division, Lattice};
 
-use crate::ids::{JobId, Lease, LeaseId, WorkerId};
+use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::scheduler::{Command, Event, Introduction, Progress};
+use crate::store::MemoryStore;
+use crate::store::failing::FailingDisk;
 
 /// A worker's message.
 pub(super) enum Up {
@@ -48,7 +50,7 @@ pub(super) enum Happening {
     Ran(usize, u64, LeaseId),
     Deliver(usize, u64, LeaseId),
     Arrives(usize, u64, Lease),
-    Durable(u64, usize, u64, Box<Event>, LeaseId, Answer),
+    Durable(u64, usize, u64, Vec<Event>, LeaseId, Answer),
     Answered(usize, u64, LeaseId, Answer),
     Stopped(usize, u64, LeaseId),
     Run(u64, Box<Command>),
@@ -101,6 +103,23 @@ pub(super) struct Worker {
     pub(super) broken: bool,
 }
 
+/// The store of a world.
+pub(super) enum Ground {
+    /// In memory, without faults.
+    Memory(MemoryStore),
+    /// On a disk that fails.
+    Disk(Box<FailingDisk>),
+}
+
+/// The consequence of an error of the store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Refusal {
+    /// The store continues.
+    Later,
+    /// The coordinator has to start again.
+    Ended,
+}
+
 /// The specification of all jobs; their plans differ.
 pub(super) fn spec() -> (JobSpec, Lattice) {
     let view = Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
@@ -110,4 +129,15 @@ pub(super) fn spec() -> (JobSpec, Lattice) {
     };
     let lattice = spec.lattice().unwrap();
     (spec, lattice)
+}
+
+/// Returns the output of a tile, by a worker whose memory is broken or not.
+pub(super) fn output(job: JobId, tile: TileIndex, broken: bool) -> Vec<u8> {
+    let bytes = format!("{job} {tile} {broken} ");
+    bytes.repeat(1 + (tile.at() * 31) % 200).into_bytes()
+}
+
+/// Returns the digest of an output.
+pub(super) fn digest(bytes: &[u8]) -> Digest {
+    *blake3::hash(bytes).as_bytes()
 }

@@ -1,9 +1,10 @@
 //! One schedule from its seed to its verdict: everything that happens, in the order of time.
 
 use super::faults;
-use super::parts::Happening;
+use super::parts::{Ground, Happening};
 use super::world::World;
 use crate::scheduler::Event;
+use crate::store::failing::Counts as DiskCounts;
 
 /// Every job must end within this time after the faults have stopped.
 const PATIENCE: u64 = 10_800_000;
@@ -13,7 +14,18 @@ const PATIENCE: u64 = 10_800_000;
 /// # Errors
 /// The first rule that was broken.
 pub(super) fn run(seed: u64) -> Result<(), String> {
-    let mut world = faults::world(seed);
+    run_in(faults::world(seed)).map(drop)
+}
+
+/// Runs a schedule on a disk that fails, with spot checks; returns the faults of the disk.
+///
+/// # Errors
+/// The first rule that was broken.
+pub(super) fn run_on_disk(seed: u64) -> Result<DiskCounts, String> {
+    run_in(faults::world_on_disk(seed)?)
+}
+
+fn run_in(mut world: World) -> Result<DiskCounts, String> {
     world.start_coordinator()?;
     for w in 0..world.workers.len() {
         world.workers[w].life = 0;
@@ -32,7 +44,12 @@ pub(super) fn run(seed: u64) -> Result<(), String> {
             break;
         }
     }
-    world.nothing_is_lost()
+    world.end_faults();
+    world.nothing_is_lost()?;
+    Ok(match &world.ground {
+        Ground::Memory(_) => DiskCounts::default(),
+        Ground::Disk(disk) => disk.counts(),
+    })
 }
 
 impl World {
@@ -95,8 +112,8 @@ impl World {
             H::Ran(w, life, id) if alive(w, life) => self.ran(w, id),
             H::Deliver(w, life, id) if alive(w, life) => self.deliver(w, id),
             H::Arrives(w, life, lease) => self.arrives(w, life, lease)?,
-            H::Durable(life, w, worker_life, event, id, answer) if life == self.life => {
-                self.tell(*event)?;
+            H::Durable(life, w, worker_life, events, id, answer) if life == self.life => {
+                events.into_iter().try_for_each(|event| self.tell(event))?;
                 self.answer(w, worker_life, id, answer);
             }
             H::Answered(w, life, id, answer) if alive(w, life) => self.answered(w, id, answer),
@@ -106,7 +123,7 @@ impl World {
             H::Fault => self.fault()?,
             H::Revive(w, life) if self.workers[w].life == life => self.restart_worker(w),
             H::CoordinatorUp => self.start_coordinator()?,
-            H::DiskFree => self.disk_full = false,
+            H::DiskFree => self.fill(false),
             _ => {}
         }
         Ok(())

@@ -26,6 +26,7 @@ impl World {
         let worker = &self.workers[w];
         let intro = Introduction {
             name: format!("w{w}"),
+            signature: format!("w{w}"),
             version: String::new(),
             instance: worker.life * 100 + w as u64 + 1,
             profiles: vec![worker.profile.clone()],
@@ -98,6 +99,11 @@ impl World {
         if let Some(held) = self.workers[w].held.get(&id) {
             let lease = held.lease;
             self.crew(500, Event::CrewClosed(lease));
+        }
+        if self.workers[w].held.get(&id).is_some_and(|h| !h.cancelled && self.is_lethal(&h.lease)) {
+            let wait = 1000 + self.below(5000);
+            self.kill(w, wait);
+            return;
         }
         let Some(held) = self.workers[w].held.get_mut(&id) else { return };
         held.ran = true;

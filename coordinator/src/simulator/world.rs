@@ -6,10 +6,10 @@ use std::sync::Arc;
 use sightline_numbers::random::SplitMix64;
 use sightline_viewcells::Plan;
 
-use super::parts::{Down, Happening, StreamEnds, Up, Worker, spec};
-use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex};
+use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
+use crate::ids::{JobId, Lease, LeaseId, TileIndex};
 use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Work};
-use crate::store::{JobPhase, MemoryStore, Store as _};
+use crate::store::{JobPhase, MemoryStore, TileState};
 
 pub(super) const TTL: u64 = 10_000;
 /// After a restart nothing that may be held is leased for this long.
@@ -26,7 +26,9 @@ pub(super) struct World {
     pub(super) unix_ms: u64,
     next: u64,
     pub(super) queue: BTreeMap<(u64, u64), Happening>,
-    pub(super) store: MemoryStore,
+    pub(super) ground: Ground,
+    /// The share of tiles that are computed again.
+    pub(super) spot_check: f64,
     pub(super) machine: Option<Machine>,
     /// Lives of the coordinator.
     pub(super) life: u64,
@@ -37,7 +39,10 @@ pub(super) struct World {
     pub(super) workers: Vec<Worker>,
     pub(super) plans: BTreeMap<JobId, Plan>,
     poison: BTreeSet<(JobId, TileIndex)>,
-    pub(super) acknowledged: BTreeMap<(JobId, TileIndex), Digest>,
+    /// Tiles whose workers die.
+    pub(super) lethal: BTreeSet<(JobId, TileIndex)>,
+    /// Outputs that were acknowledged.
+    pub(super) acknowledged: BTreeMap<(JobId, TileIndex), Vec<u8>>,
     pub(super) leased: BTreeSet<LeaseId>,
     /// Jobs that ran before the last start of the coordinator, and when that was.
     pub(super) ran_before: BTreeSet<JobId>,
@@ -58,7 +63,8 @@ impl World {
             unix_ms: 1_000_000_000,
             next: 0,
             queue: BTreeMap::new(),
-            store: MemoryStore::new(),
+            ground: Ground::Memory(MemoryStore::new()),
+            spot_check: 0.0,
             machine: None,
             life: 0,
             epoch: 0,
@@ -68,6 +74,7 @@ impl World {
             workers: Vec::new(),
             plans: BTreeMap::new(),
             poison: BTreeSet::new(),
+            lethal: BTreeSet::new(),
             acknowledged: BTreeMap::new(),
             leased: BTreeSet::new(),
             ran_before: BTreeSet::new(),
@@ -123,8 +130,10 @@ impl World {
             return Ok(());
         }
         let (id, _) = open[(of / 24) as usize % open.len()];
-        let record = self.store.prioritize_job(id, priority).unwrap();
-        self.tell(Event::JobChanged(Box::new(record)))
+        match self.store().prioritize_job(id, priority) {
+            Ok(record) => self.tell(Event::JobChanged(Box::new(record))),
+            Err(e) => self.refused(&e).map(drop),
+        }
     }
 
     pub(super) fn poison(&mut self, job: JobId, tile: TileIndex) {
@@ -135,8 +144,12 @@ impl World {
         self.poison.contains(&(lease.job, lease.tile))
     }
 
+    pub(super) fn is_lethal(&self, lease: &Lease) -> bool {
+        self.lethal.contains(&(lease.job, lease.tile))
+    }
+
     pub(super) fn open_jobs(&self) -> Vec<(JobId, JobPhase)> {
-        let jobs = self.store.jobs().unwrap();
+        let jobs = self.store().jobs().unwrap();
         let all = jobs.iter().map(|j| (j.id, j.state.phase()));
         all.filter(|(_, phase)| !phase.ended()).collect()
     }
@@ -178,7 +191,7 @@ impl World {
     pub(super) fn job(&self, id: JobId) -> Job {
         let (spec, lattice) = spec();
         let work = Work { spec: Arc::new(spec), lattice, plan: self.plans[&id].clone() };
-        Job::with(self.store.job(id).unwrap().unwrap(), work, self.store.tiles(id).unwrap())
+        Job::with(self.store().job(id).unwrap().unwrap(), work, self.store().tiles(id).unwrap())
     }
 
     /// Tells the machine of an event, checks it, and carries out what it wants.
@@ -232,7 +245,10 @@ impl World {
         }
         // A tile that its worker has claimed may change hands.
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
-        if self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + GRACE {
+        // The check of a done tile does not affect the worker that made the tile.
+        let tile = self.store().tile(lease.job, lease.tile).map_err(|e| e.to_string())?;
+        let is_open = tile.state == TileState::Open;
+        if is_open && self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + GRACE {
             return Err(format!("{lease:?} is given while an earlier epoch's worker may hold the tile"));
         }
         Ok(())

@@ -1,5 +1,5 @@
-//! Tokens of people: a page that takes a token and keeps it in a cookie, which the browser sends to this
-//! site alone and shows to no program.
+//! Login of a browser: a page takes a token, and the browser keeps the id of a session in a cookie, which it
+//! sends to this site only and shows to no program.
 
 use std::sync::Arc;
 
@@ -11,61 +11,118 @@ use serde::Deserialize;
 use tonic::Status;
 
 use super::super::guard;
-use super::pages::html;
+use super::logins::LIFE;
+use super::pages::{Nonce, html};
 use super::site::{Site, failure};
-use crate::access::{Access, Caller};
+use crate::access::{Access, Caller, TokenDigest};
 
-/// The name of the cookie.
-const COOKIE: &str = "sightline-token";
-/// The page.
+/// Maximum size of the form, in bytes.
+pub(super) const MAX_FORM: usize = 4096;
+/// The page. A stylesheet of one line keeps it free of attributes that the content policy forbids.
 const PAGE: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>Sightline</title>\
-    <body style=\"font:16px system-ui;max-width:32em;margin:4em auto\"><h1>Sightline</h1>\
+    <style{{nonce}}>body{font:16px system-ui;max-width:32em;margin:4em auto}</style><h1>Sightline</h1>\
     <form method=post action=/login><p><label>A token with the scope admin<br>\
     <input name=token type=password autocomplete=off size=48 autofocus></label>\
     <p><button>Continue</button></form>\
     <p>The dashboard shows the jobs of all users. \
     `sightline token new --user NAME --scope admin` makes a token.";
 
-/// What the form sends.
+/// The content of the form.
 #[derive(Deserialize)]
 pub(super) struct Sent {
     token: String,
 }
 
-/// The page that asks for a token.
+/// Returns the page that asks for a token.
 pub(super) async fn page() -> Response {
-    html(PAGE.to_owned())
+    let made = Nonce::random().map(|nonce| html(&nonce, PAGE.replace("{{nonce}}", &nonce.attribute())));
+    made.unwrap_or_else(|status| failure(&status))
 }
 
-/// The page that asks for a token, as the answer to a page that needs one.
-pub(super) fn ask() -> Response {
-    (StatusCode::UNAUTHORIZED, html(PAGE.to_owned())).into_response()
+/// Returns the page that asks for a token, as the answer to a page that needs one.
+pub(super) async fn ask() -> Response {
+    (StatusCode::UNAUTHORIZED, page().await).into_response()
 }
 
-/// Takes a token that opens the pages.
+/// Checks the submitted token and sets the login cookie.
 pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<Sent>) -> Response {
+    // Where callers need no token there is no session either.
+    let Some(access) = site.coordinator.access.get().filter(|access| access.has_tokens()) else {
+        return (StatusCode::SEE_OTHER, [(header::LOCATION, "/")]).into_response();
+    };
     let token = sent.token.trim();
-    let known =
-        site.coordinator.access.get().map(|access| guard::admitted_with(access, Some(token), None, "/"));
-    match known {
-        None => {}
-        Some(Ok(_)) if token.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_') => {}
-        Some(Ok(_)) => return failure(&Status::unauthenticated("the token has characters that none has")),
-        Some(Err(status)) => return failure(&status),
+    if let Err(status) = guard::admitted_with(access, Some(token), None, "/") {
+        return failure(&status);
     }
-    let secure = if site.is_encrypted { "; Secure" } else { "" };
-    let cookie = format!("{COOKIE}={token}; Path=/; HttpOnly; SameSite=Strict{secure}");
-    (StatusCode::SEE_OTHER, [(header::SET_COOKIE, cookie), (header::LOCATION, "/".to_owned())])
-        .into_response()
+    match site.logins.begin(TokenDigest::of_text(token), site.coordinator.now().at) {
+        Ok(id) => {
+            let cookie = cookie(site.port, site.is_encrypted, &id, LIFE.as_secs());
+            let headers = [(header::SET_COOKIE, cookie), (header::LOCATION, "/".to_owned())];
+            (StatusCode::SEE_OTHER, headers).into_response()
+        }
+        Err(e) => failure(&Status::internal(format!("no session without random numbers: {e}"))),
+    }
 }
 
-/// The caller of a request, by its header or its cookie, if it may make it.
-pub(super) fn admitted(access: &Access, headers: &HeaderMap, path: &str) -> Result<Caller, Status> {
-    if headers.contains_key(header::AUTHORIZATION) {
-        return guard::admitted(access, headers, None, path);
+/// Ends the session of the browser.
+pub(super) async fn logout(State(site): State<Arc<Site>>, headers: HeaderMap) -> Response {
+    if let Some(id) = session(&site, &headers) {
+        site.logins.end(id);
     }
+    let cookie = cookie(site.port, site.is_encrypted, "", 0);
+    let headers = [(header::SET_COOKIE, cookie), (header::LOCATION, "/login".to_owned())];
+    (StatusCode::SEE_OTHER, headers).into_response()
+}
+
+/// Returns the caller of a request, by its header or its session, if the caller may make the request.
+pub(super) fn admitted(
+    site: &Site,
+    access: &Access,
+    headers: &HeaderMap,
+    path: &str,
+) -> Result<Caller, Status> {
+    let Some(id) = session(site, headers).filter(|_| !headers.contains_key(header::AUTHORIZATION)) else {
+        return guard::admitted(access, headers, None, path);
+    };
+    let ended = || Status::unauthenticated("the session has ended; log in again at /login");
+    let token = site.logins.token(id, site.coordinator.now().at).ok_or_else(ended)?;
+    guard::admitted_by(access, path, |access| {
+        access.identify_digest(&token).inspect_err(|_| site.logins.end(id))
+    })
+}
+
+/// Returns the id of the session in the cookie of this port.
+fn session<'a>(site: &Site, headers: &'a HeaderMap) -> Option<&'a str> {
+    let name = name(site.port);
     let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
     let mut own = cookies.flat_map(|text| text.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    let token = own.find(|(name, _)| *name == COOKIE).map(|(_, token)| token);
-    guard::admitted_with(access, token, None, path)
+    own.find(|(found, _)| *found == name).map(|(_, id)| id)
+}
+
+/// Returns the name of the cookie. Browsers send the cookies of a host to all its ports, so the port is a
+/// part.
+fn name(port: u16) -> String {
+    format!("sightline-session-{port}")
+}
+
+/// Returns the cookie with a session's id for the given number of seconds.
+fn cookie(port: u16, is_encrypted: bool, id: &str, seconds: u64) -> String {
+    let secure = if is_encrypted { "; Secure" } else { "" };
+    format!("{}={id}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}", name(port))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cookie_is_hidden_from_programs_other_sites_and_other_ports() {
+        let parts = |is_encrypted| -> Vec<String> {
+            cookie(7601, is_encrypted, "id", LIFE.as_secs()).split("; ").map(str::to_owned).collect()
+        };
+        let plain = ["sightline-session-7601=id", "Path=/", "HttpOnly", "SameSite=Strict", "Max-Age=43200"];
+        assert_eq!(parts(false), plain);
+        assert_eq!(parts(true), [&plain[..], &["Secure"]].concat());
+        assert!(cookie(7601, true, "", 0).contains("Max-Age=0"));
+    }
 }

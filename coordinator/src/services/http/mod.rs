@@ -9,50 +9,50 @@
 //! own.
 
 mod calls;
-mod held;
 mod live;
 mod login;
+mod logins;
 mod pages;
 mod site;
 mod snapshot;
 
+use std::convert::Infallible;
 use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Request, State};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::Response;
 use axum::routing::{get, post};
-use tokio::net::TcpListener;
+use http_body::Body as _;
 use tonic::{Code, Status};
 
+use self::logins::Logins;
 use self::site::{Site, failure};
 use self::snapshot::Snapshots;
+use super::answer_right;
+use super::connections::{Listener, Peer, Protocol, ServeError};
 use super::farm::FarmService;
 use super::guard::permitted;
 use super::jobs::JobsService;
+use super::metered::{MAX_MESSAGE, MESSAGE_TIME, bounded, needed_by_json};
 use super::results::ResultsService;
-use super::server::ServeError;
-use super::tls::{self, Tls};
+use super::silence::until_deadline;
+use super::tls::Tls;
 use crate::access::Caller;
-use crate::scene_files;
 use crate::state::Coordinator;
 
-/// Most bytes of a request, as for messages of gRPC.
-const MOST_BYTES: usize = 4 << 20;
-
-/// Serves pages and JSON until `stop` resolves.
+/// Serves pages and JSON until this is dropped.
 ///
 /// # Errors
-/// [`ServeError::Broken`] when the server ends by itself.
+/// [`ServeError::Broken`] when the listener has no address.
 pub async fn serve_http(
     coordinator: Arc<Coordinator>,
-    listener: TcpListener,
+    listener: Listener,
     tls: Option<Arc<Tls>>,
-    stop: impl Future<Output = ()> + Send + 'static,
-) -> Result<(), ServeError> {
+) -> Result<Infallible, ServeError> {
     let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
     let address = listener.local_addr().map_err(broken)?;
     let is_local = address.ip().is_loopback();
@@ -65,68 +65,89 @@ pub async fn serve_http(
         coordinator,
         is_local,
         is_encrypted,
+        port: address.port(),
+        logins: Logins::default(),
     });
     let routes = Router::new()
         .route("/", get(pages::dashboard))
-        .route("/login", get(login::page).post(login::login))
+        .route(
+            "/login",
+            // The one path that reads a body of a caller who is not known yet.
+            get(login::page).post(login::login).layer(DefaultBodyLimit::max(login::MAX_FORM)),
+        )
+        .route("/logout", post(login::logout))
         .route("/live", get(live::live))
         .route("/events/{job}", get(live::events))
         .route("/results/{file}", get(pages::result))
-        .route(
-            "/scenes",
-            post(pages::put_scene).layer(DefaultBodyLimit::max(scene_files::MOST_BYTES as usize)),
-        )
+        .route("/scenes", post(pages::put_scene))
         .route("/view/{job}", get(pages::view))
         .route("/{service}/{method}", post(calls::call))
         .fallback(|| async { failure(&Status::not_found("there is no such page; / is the dashboard")) })
-        .layer(DefaultBodyLimit::max(MOST_BYTES))
+        .layer(DefaultBodyLimit::max(MAX_MESSAGE as usize))
         .layer(from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site);
-    // Streams that stay open would delay a graceful end for ever.
-    tokio::select! {
-        r = serve_routes(routes, listener, tls) => r,
-        () = stop => Ok(()),
-    }
-}
-
-/// Answers the connections of a listener, encrypted if there are certificates.
-pub(super) async fn serve_routes(
-    routes: Router,
-    listener: TcpListener,
-    tls: Option<Arc<Tls>>,
-) -> Result<(), ServeError> {
-    let broken = |e: std::io::Error| ServeError::Broken(e.to_string());
-    let address = listener.local_addr().map_err(broken)?;
-    let served = match tls {
-        None => axum::serve(listener, routes).await,
-        Some(tls) => {
-            let connections = tls::connections(listener, tls, b"http/1.1");
-            axum::serve(tls::Pages { connections, address }, routes).await
-        }
-    };
-    served.map_err(broken)
+    Ok(listener.serve(tls, Protocol::Http1, routes).await)
 }
 
 /// Refuses requests that pages of other sites can make a browser send, those of callers who may not, and
 /// those that are too many.
-async fn guard(State(site): State<Arc<Site>>, mut request: Request, next: Next) -> Response {
+async fn guard(site: State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let mut answer = guarded(site, request, next).await;
+    // Browsers must not guess another type from the bytes.
+    answer.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    answer
+}
+
+async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next) -> Response {
     if let Some(status) = refusal(&site, request.headers()) {
         return failure(&status);
     }
-    let path = request.uri().path();
-    if path == "/login" {
-        // Whoever sends a token here has none yet, and may not take the calls of those who have one.
+    let path = request.uri().path().to_owned();
+    let path = path.as_str();
+    if path == "/login" || path == "/logout" {
+        // A caller without a session must not use up the calls of users.
         return next.run(request).await;
     }
     if let Some(access) = site.coordinator.access.get() {
-        match login::admitted(access, request.headers(), path) {
+        match login::admitted(&site, access, request.headers(), path) {
             Ok(caller) => drop(request.extensions_mut().insert(caller)),
-            Err(status) if path == "/" && status.code() == Code::Unauthenticated => return login::ask(),
+            Err(status) if path == "/" && status.code() == Code::Unauthenticated => {
+                return login::ask().await;
+            }
             Err(status) => return failure(&status),
         }
     }
     match permitted(&site.coordinator, request.extensions().get::<Caller>()) {
-        Ok(permit) => held::until_end(next.run(request).await, permit),
+        Ok(permit) => {
+            if let Some(peer) = request.extensions().get::<Peer>() {
+                peer.admitted(false);
+            }
+            // The file of a scene goes to the disk, whatever its length.
+            let announced = request.headers().get(header::CONTENT_LENGTH);
+            let announced: Option<u64> = announced.and_then(|length| length.to_str().ok()?.parse().ok());
+            let is_empty = request.body().is_end_stream() || path == "/scenes";
+            let bytes = match announced {
+                _ if is_empty => 0,
+                Some(announced) => needed_by_json(announced),
+                None => {
+                    return failure(&Status::invalid_argument(
+                        "the length of the request is not known; send it with a content-length",
+                    ));
+                }
+            };
+            let user = bounded(request.extensions().get::<Caller>()).to_owned();
+            match site.coordinator.intake.room(&user, bytes).await {
+                Ok(room) => {
+                    if bytes > 0 {
+                        request = request.map(|body| until_deadline(body, MESSAGE_TIME));
+                    }
+                    answer_right::until_end(next.run(request).await, (permit, room))
+                }
+                Err(_) => {
+                    failure(&Status::unavailable("the coordinator is stopping; try again when it is back"))
+                }
+            }
+        }
         Err(status) => failure(&status),
     }
 }

@@ -3,50 +3,85 @@
 use std::sync::Arc;
 
 use axum::Extension;
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse as _, Response};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use futures::StreamExt as _;
 use serde::Deserialize;
-use sightline_proto::v1;
 use sightline_pvs::Pvs;
 use sightline_view::{Ask, View, dashboard as dashboard_page, page};
 use tonic::Status;
 
-use super::super::blocking::blocking_one_of;
-use super::super::jobs::{so_far, take_file};
+use super::super::blocking::{blocking, in_turn};
+use super::super::jobs::{begin_file, file_name, so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
 use crate::access::Caller;
 use crate::asking;
 use crate::ids::JobId;
 use crate::partial;
+use crate::spool::Spool;
 use crate::state::Coordinator;
 use crate::store::JobPhase;
 
-/// A page as an answer. It is its own program and loads nothing from elsewhere.
-pub(super) fn html(text: String) -> Response {
-    let policy = "default-src 'self' 'unsafe-inline' data: blob:; frame-ancestors 'none'";
+/// The random word that allows a page's own style and program.
+#[derive(Clone, Debug)]
+pub(super) struct Nonce(String);
+
+impl Nonce {
+    /// Draws a word.
+    ///
+    /// # Errors
+    /// INTERNAL when the system has no random numbers.
+    pub(super) fn random() -> Result<Self, Status> {
+        let mut random = [0; 16];
+        let failed = |e| Status::internal(format!("no page without random numbers: {e}"));
+        getrandom::fill(&mut random).map_err(failed)?;
+        Ok(Self(STANDARD.encode(random)))
+    }
+
+    /// Returns the attribute of the page's style and program, with a space before it.
+    pub(super) fn attribute(&self) -> String {
+        format!(" nonce=\"{}\"", self.0)
+    }
+}
+
+/// Returns a page as an answer. It runs no program and no style but those with the nonce, and loads nothing
+/// from elsewhere.
+pub(super) fn html(Nonce(nonce): &Nonce, text: String) -> Response {
+    let policy = format!(
+        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; img-src data:; \
+         connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    );
     let headers = [
-        (header::CONTENT_TYPE, "text/html; charset=utf-8"),
-        (header::CACHE_CONTROL, "no-store"),
+        (header::CONTENT_TYPE, "text/html; charset=utf-8".to_owned()),
+        (header::CACHE_CONTROL, "no-store".to_owned()),
         (header::CONTENT_SECURITY_POLICY, policy),
     ];
     (headers, text).into_response()
 }
 
-/// The dashboard.
-pub(super) async fn dashboard() -> Response {
-    html(dashboard_page())
+/// Returns the dashboard. Where callers need tokens it has a button that ends the session.
+pub(super) async fn dashboard(State(site): State<Arc<Site>>) -> Response {
+    let has_sessions = site.coordinator.access.get().is_some_and(|access| access.has_tokens());
+    let made = Nonce::random().map(|nonce| html(&nonce, dashboard_page(&nonce.attribute(), has_sessions)));
+    made.unwrap_or_else(|status| failure(&status))
 }
 
 /// A result of a job, or what there is of it, as a file: `7.pvs` is that of job 7.
-pub(super) async fn result(State(site): State<Arc<Site>>, Path(file): Path<String>) -> Response {
+pub(super) async fn result(
+    State(site): State<Arc<Site>>,
+    Path(file): Path<String>,
+    caller: Option<Extension<Caller>>,
+) -> Response {
     let Some(job) = file.strip_suffix(".pvs").and_then(|number| number.parse().ok()) else {
         return failure(&Status::not_found("results are at /results/JOB.pvs"));
     };
-    match so_far(&site.coordinator, JobId(job)).await {
+    let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
+    match so_far(&site.coordinator, caller.owner(), JobId(job)).await {
         Ok(stream) => {
             let body = Body::from_stream(stream.map(|chunk| chunk.map(|chunk| chunk.data)));
             ([(header::CONTENT_TYPE, "application/octet-stream")], body).into_response()
@@ -67,7 +102,7 @@ pub(super) async fn put_scene(
     Query(Named { name }): Query<Named>,
     caller: Option<Extension<Caller>>,
     headers: HeaderMap,
-    body: Bytes,
+    body: Body,
 ) -> Response {
     // A form of another site can send other types without asking.
     if headers.get(header::CONTENT_TYPE).is_none_or(|kind| kind != "application/octet-stream") {
@@ -76,19 +111,56 @@ pub(super) async fn put_scene(
         ));
     }
     let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
-    let file = v1::SceneFileHeader { name, rules: Vec::new() };
-    match take_file(&site.coordinator, caller, file, body).await.map(|info| serde_json::to_string(&info)) {
+    let c = &site.coordinator;
+    let taken = async {
+        let name = file_name(name)?;
+        let length = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+        let length = length.ok_or_else(|| {
+            Status::invalid_argument("the length of the file is not known; send it with a content-length")
+        })?;
+        let spool = spooled(c, begin_file(c, &caller, length).await?, body).await?;
+        take_file(c, caller, name, Vec::new(), spool).await
+    };
+    match taken.await.map(|info| serde_json::to_string(&info)) {
         Ok(Ok(text)) => json(text),
         Ok(Err(e)) => failure(&Status::internal(e.to_string())),
         Err(s) => failure(&s),
     }
 }
 
+/// Fills a spool with a body.
+async fn spooled(c: &Arc<Coordinator>, mut spool: Spool, body: Body) -> Result<Spool, Status> {
+    let mut parts = body.into_data_stream();
+    while let Some(part) = parts.next().await {
+        let part = part.map_err(|e| Status::from_error(e.into()))?;
+        // The disk may block.
+        spool = blocking(c, move |c| {
+            spool.append(c, &part).map_err(|e| status::of_spool(&e))?;
+            Ok(spool)
+        })
+        .await?;
+    }
+    spool.digest().map_err(|e| status::of_spool(&e))?;
+    Ok(spool)
+}
+
 /// A result of a job, or what there is of it, in the viewer.
-pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) -> Response {
+pub(super) async fn view(
+    State(site): State<Arc<Site>>,
+    Path(job): Path<u64>,
+    caller: Option<Extension<Caller>>,
+) -> Response {
     let c = &site.coordinator;
-    match blocking_one_of(c, &c.scenes_in_memory, move |c| page_of(c, JobId(job))).await {
-        Ok(text) => html(text),
+    let nonce = match Nonce::random() {
+        Ok(nonce) => nonce,
+        Err(status) => return failure(&status),
+    };
+    let attribute = nonce.attribute();
+    let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
+    let made =
+        move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| page_of(c, JobId(job), attribute, is_gone);
+    match in_turn(c, &c.questions, caller.owner(), made).await {
+        Ok(text) => html(&nonce, text),
         Err(s) => {
             let mut answer = failure(&s);
             // People read this in a window of their own.
@@ -100,13 +172,14 @@ pub(super) async fn view(State(site): State<Arc<Site>>, Path(job): Path<u64>) ->
     }
 }
 
-fn page_of(c: &Coordinator, id: JobId) -> Result<String, Status> {
+fn page_of(c: &Coordinator, id: JobId, nonce: String, is_gone: &dyn Fn() -> bool) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
     let (record, scene) = asking::scene(c, id).map_err(|e| status::of_ask(&e))?;
     asking::has_sets(&record).map_err(|e| status::of_ask(&e))?;
-    let bytes = partial::so_far(c, id).map_err(|e| status::of_partial(&e))?;
+    let bytes = partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))?;
     let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
     let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;
+    view.nonce = nonce;
     view.title = format!("job {id}: {}", record.name);
     let is_over = record.state.phase().ended();
     view.about = match is_over {

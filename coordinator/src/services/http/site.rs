@@ -9,6 +9,7 @@ use tonic::{Code, Status};
 use super::super::farm::FarmService;
 use super::super::jobs::JobsService;
 use super::super::results::ResultsService;
+use super::logins::Logins;
 use super::snapshot::Snapshots;
 use crate::state::Coordinator;
 
@@ -23,6 +24,10 @@ pub(super) struct Site {
     pub(super) is_local: bool,
     /// Whether connections are encrypted.
     pub(super) is_encrypted: bool,
+    /// The port of the address.
+    pub(super) port: u16,
+    /// The sessions of browsers.
+    pub(super) logins: Logins,
 }
 
 /// Whether a request says that it is JSON.

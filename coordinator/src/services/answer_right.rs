@@ -1,5 +1,5 @@
-//! An answer that holds the right to its call until its last byte is sent: a stream counts as long as it is
-//! open.
+//! An answer that holds a right, such as that to its call, until its last byte is sent: a stream counts as
+//! long as it is open.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -8,20 +8,18 @@ use axum::body::{Body, Bytes};
 use axum::response::Response;
 use http_body::{Body as HttpBody, Frame, SizeHint};
 
-use crate::limits::Permit;
-
-/// The body of an answer, with the right to its call.
-struct Held {
+/// The body of an answer, with a right.
+struct WithRight<T> {
     body: Body,
-    _permit: Permit,
+    _right: T,
 }
 
-/// The answer, which gives the right back at its end.
-pub(super) fn until_end(answer: Response, permit: Permit) -> Response {
-    answer.map(|body| Body::new(Held { body, _permit: permit }))
+/// Returns the answer, which drops the right at its end.
+pub(super) fn until_end<T: Send + Unpin + 'static>(answer: Response, right: T) -> Response {
+    answer.map(|body| Body::new(WithRight { body, _right: right }))
 }
 
-impl HttpBody for Held {
+impl<T: Unpin> HttpBody for WithRight<T> {
     type Data = Bytes;
     type Error = axum::Error;
 
