@@ -69,9 +69,9 @@ impl Pvs {
         PyBytes::new(py, self.0.bytes())
     }
 
-    /// Writes the file.
+    /// Writes the file, which is complete and synced when this method returns.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        py.detach(|| std::fs::write(path, self.0.bytes())).map_err(PyErr::from)
+        py.detach(|| sightline_files::write(&path, self.0.bytes())).map_err(PyErr::from)
     }
 
     fn __reduce__<'py>(
@@ -241,9 +241,7 @@ impl Pvs {
     #[getter]
     fn set_sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u32>>> {
         let sizes = py.detach(|| {
-            let mut ids = Vec::new();
-            let mut size = |cell| self.0.visible(cell, &mut ids).map(|()| ids.len() as u32);
-            (0..self.0.cells()).map(&mut size).collect::<Result<Vec<u32>, PvsError>>()
+            (0..self.0.cells()).map(|cell| self.0.visible_count(cell)).collect::<Result<Vec<u32>, PvsError>>()
         });
         Ok(sizes.map_err(of_pvs)?.into_pyarray(py))
     }

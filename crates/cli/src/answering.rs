@@ -100,6 +100,7 @@ fn answer(served: &Served, Question { cell, triangle }: Question) -> Result<Stri
     if cell >= pvs.cells() || triangle >= pvs.triangle_count() {
         return Err(format!("there is no cell {cell} or no triangle {triangle}"));
     }
-    let answer = reasons::ask_as_message(pvs, result, scene, (cell, triangle)).map_err(|e| e.to_string())?;
+    let answer = reasons::ask_as_message(pvs, result, scene, (cell, triangle), &|| false);
+    let answer = answer.map_err(|e| e.to_string())?;
     serde_json::to_string(&answer).map_err(|e| e.to_string())
 }

@@ -22,8 +22,15 @@ const RESULT: &str = "the stored result";
 pub struct Commands;
 
 impl Answers for Commands {
-    fn why(&self, pvs: &Pvs, scene: Scene, cell: u32, triangle: u32) -> Result<v1::WhyResponse, String> {
-        reasons::ask_as_message(pvs, Path::new(RESULT), &scene, (cell, triangle)).map_err(|e| e.to_string())
+    fn why(
+        &self,
+        pvs: &Pvs,
+        scene: Scene,
+        cell_and_triangle: (u32, u32),
+        is_gone: &dyn Fn() -> bool,
+    ) -> Result<v1::WhyResponse, String> {
+        let answer = reasons::ask_as_message(pvs, Path::new(RESULT), &scene, cell_and_triangle, is_gone);
+        answer.map_err(|e| e.to_string())
     }
 
     fn measure(
@@ -31,6 +38,7 @@ impl Answers for Commands {
         pvs: &Pvs,
         scene: Scene,
         asked: &v1::MeasureRequest,
+        is_gone: &dyn Fn() -> bool,
     ) -> Result<v1::MeasureResponse, String> {
         let args = MeasureArgs {
             scene: PathBuf::from("the stored scene"),
@@ -47,7 +55,8 @@ impl Answers for Commands {
             resolution: asked.resolution,
             backend: BackendChoice::Auto,
         };
-        let report = measuring::measured_in(&args, pvs, Arc::new(scene), (None, None), &mut |_, _| true);
+        let report =
+            measuring::measured_in(&args, pvs, Arc::new(scene), (None, None), &mut |_, _| !is_gone());
         let report = report.map_err(|e| e.to_string())?;
         let of = |value: &Value, key: &str| value[key].as_f64().unwrap_or_default();
         let frame = |value: &Value| {

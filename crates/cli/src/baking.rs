@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use sightline_coordinator::store::StoreError;
-use sightline_coordinator::{Config, Coordinator, OpenError};
+use sightline_coordinator::{Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError};
 use sightline_model::{BackendChoice, JobSpec, Method, Sampler};
 use sightline_portals::Partition;
 use sightline_proto::connecting::{Connection, Credentials};
@@ -240,8 +240,9 @@ pub struct Outcome {
 pub(crate) async fn on_loopback(
     coordinator: &Arc<Coordinator>,
 ) -> Result<(String, AbortHandle, JobsClient<Connection>), CliError> {
-    let listener =
-        sightline_coordinator::listen(([127, 0, 0, 1], 0).into(), false).await.map_err(CliError::internal)?;
+    let connections = Connections::new(ConnectionLimits::of_process().map_err(CliError::internal)?);
+    let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &connections);
+    let listener = listener.await.map_err(CliError::internal)?;
     let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
     let coordinator = Arc::clone(coordinator);
     let server =

@@ -63,6 +63,26 @@ mod tests {
     }
 
     #[test]
+    fn uniform_cubes_reach_message_of_job() {
+        use sightline_model::{ErrorMeasure, JobSpec};
+        use sightline_scene::generate::{Kind, Params, generate};
+
+        let scene = std::sync::Arc::new(generate(Kind::Rooms, &Params::default()).unwrap());
+        for rung in Sampler::CubesUniform.rungs(Ladder::Full) {
+            let base = ["sightline", "bake", "a.glb", "-o", "a.pvs"].map(str::to_owned);
+            let line = base.into_iter().chain(rung.flags);
+            let crate::args::Command::Bake(args) = crate::args::Cli::parse_from(line).command else {
+                panic!("the line is a bake");
+            };
+            let spec = args.job.spec(std::path::Path::new("a.glb"), &scene).unwrap();
+            let spec = JobSpec::from_proto(&spec.to_proto(), None).unwrap();
+            assert_eq!(spec.sampling.measure, ErrorMeasure::Uniform);
+            let distance = spec.sampling.min_distance;
+            assert!(rung.parameter.ends_with(&format!(" {distance}")), "{} is {distance}", rung.parameter);
+        }
+    }
+
+    #[test]
     fn the_defaults_of_the_command_line_are_those_of_the_library() {
         #[derive(clap::Parser)]
         struct Line {

@@ -76,10 +76,9 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     let columns = columns(pvs)?;
     let sum = |name: &str| columns.get(name).map_or(0, |c| c.iter().fold(0u64, |a, b| a.saturating_add(*b)));
     let reasons = ["undecided_regions", "undecided_memory", "undecided_halvings"];
-    let (mut open, mut evidence_bytes, mut ids) = (0, 0, Vec::new());
+    let (mut open, mut evidence_bytes) = (0, 0);
     for cell in 0..pvs.cells() {
-        pvs.undecided(cell, &mut ids)?;
-        open += usize::from(!ids.is_empty());
+        open += usize::from(pvs.undecided_count(cell)? > 0);
         evidence_bytes += pvs.certificate(cell)?.map_or(0, |e| e.len() as u64);
     }
     Ok(Decided {
@@ -167,12 +166,10 @@ pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, CliError> {
 /// [`CliError::Input`] when the result cannot be read.
 pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
     let columns = columns(pvs)?;
-    let mut ids = Vec::new();
     let mut cells = Vec::new();
     for cell in 0..pvs.cells() {
-        pvs.visible(cell, &mut ids)?;
         let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-        let mut line = json!({"cell": cell, "min": min, "max": max, "visible": ids.len()});
+        let mut line = json!({"cell": cell, "min": min, "max": max, "visible": pvs.visible_count(cell)?});
         for (name, values) in &columns {
             line[name] = values[cell as usize].into();
         }
@@ -213,9 +210,8 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     )];
     let mut rows =
         vec![["cell", "visible", "rounds", "cubes", "rays", "finds", "missed", "bound"].map(str::to_owned)];
-    let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {
-        pvs.visible(cell as u32, &mut ids)?;
+        let visible = pvs.visible_count(cell as u32)?;
         let list =
             |names: &[&str]| names.iter().map(|n| at(n, cell).to_string()).collect::<Vec<_>>().join("/");
         let rays = at("last_rays", cell);
@@ -233,7 +229,7 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
         };
         rows.push([
             cell.to_string(),
-            ids.len().to_string(),
+            visible.to_string(),
             at("rounds", cell).to_string(),
             at("samples", cell).to_string(),
             list(&kinds[..4]),
@@ -272,9 +268,8 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
         ["cell", "undecided", "hidden", "group", "surfaces", "missed", "queries", "regions"]
             .map(str::to_owned),
     ];
-    let mut ids = Vec::new();
     for cell in order.iter().copied().take(SHOWN) {
-        pvs.undecided(cell as u32, &mut ids)?;
+        let undecided = pvs.undecided_count(cell as u32)?;
         let [hidden, above, surfaces, missed, queries, regions] = [
             "exact_hidden",
             "exact_above",
@@ -286,7 +281,7 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
         .map(|name| at(name, cell).to_string());
         rows.push([
             cell.to_string(),
-            ids.len().to_string(),
+            undecided.to_string(),
             hidden,
             above,
             surfaces,

@@ -41,7 +41,7 @@ pub async fn connect(url: &str, credentials: &Credentials) -> Result<Connection,
         .await
         .map(|channel| credentials.over(channel))
         .map_err(|e| {
-            let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+            let reason = causes(&e);
             if reason.contains("certificate") {
                 return CliError::Coordinator(format!(
                     "{url} is not trusted ({reason}); --ca names the authority that signed the coordinator's \
@@ -53,6 +53,13 @@ pub async fn connect(url: &str, credentials: &Credentials) -> Result<Connection,
                  another with --coordinator"
             ))
         })
+}
+
+/// Returns the causes of an error, outermost first, or the error itself where it has no cause.
+fn causes(error: &dyn std::error::Error) -> String {
+    let all = std::iter::successors(error.source(), |cause| cause.source());
+    let texts: Vec<String> = all.map(ToString::to_string).collect();
+    if texts.is_empty() { error.to_string() } else { texts.join(": ") }
 }
 
 /// Uploads a scene, unless the coordinator has it.

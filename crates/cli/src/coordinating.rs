@@ -6,7 +6,9 @@ use std::sync::Arc;
 use sightline_coordinator::access::Access;
 use sightline_coordinator::clock::SystemClock;
 use sightline_coordinator::store::{BlobPlace, MemoryBlobs, MemoryStore, PlaceError, SledStore};
-use sightline_coordinator::{Config, Coordinator, OpenError, Quotas, Tls, TlsFiles};
+use sightline_coordinator::{
+    Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError, Quotas, Tls, TlsFiles,
+};
 use sightline_traces::Traces;
 
 use crate::answers::Commands;
@@ -61,9 +63,7 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         let c = Arc::clone(&coordinator);
         let shown = async move {
             match pages {
-                Some((pages, _)) => {
-                    sightline_coordinator::serve_http(c, pages, tls, std::future::pending()).await
-                }
+                Some((pages, _)) => sightline_coordinator::serve_http(c, pages, tls).await,
                 None => std::future::pending().await,
             }
         };
@@ -75,8 +75,8 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         };
         tokio::select! {
             ended = served => ended,
-            ended = shown => ended,
-            ended = counted => ended,
+            ended = shown => ended.map(|never| match never {}),
+            never = counted => match never {},
         }
         .map_err(CliError::internal)
     })
@@ -102,7 +102,8 @@ fn equip(coordinator: &Coordinator, access: Option<Arc<Access>>, traces: Traces)
 async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening, CliError> {
     let protected = args.allow_plaintext || is_encrypted;
     let scheme = if is_encrypted { "https" } else { "http" };
-    let calls = sightline_coordinator::listen(args.listen, protected)
+    let connections = Connections::new(ConnectionLimits::of_process().map_err(CliError::internal)?);
+    let calls = Listener::bind(args.listen, protected, &connections)
         .await
         .map_err(|e| CliError::Usage(e.to_string()))?;
     let address = calls.local_addr().map_err(CliError::internal)?;
@@ -118,7 +119,7 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     let pages = match args.http {
         None => None,
         Some(address) => {
-            let pages = sightline_coordinator::listen(address, protected).await;
+            let pages = Listener::bind(address, protected, &connections).await;
             let pages = pages.map_err(|e| CliError::Usage(format!("--http: {e}")))?;
             let address = pages.local_addr().map_err(CliError::internal)?;
             Some((pages, format!("{scheme}://{address}/")))
@@ -128,7 +129,7 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
         None => None,
         Some(address) => {
             // What it shows is meant for everybody who reaches it.
-            let metrics = sightline_coordinator::listen(address, true).await;
+            let metrics = Listener::bind(address, true, &connections).await;
             let metrics = metrics.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
             let address = metrics.local_addr().map_err(CliError::internal)?;
             Some((metrics, format!("http://{address}/metrics")))

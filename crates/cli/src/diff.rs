@@ -8,13 +8,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
-use sightline_pvs::{Granularity, Pvs, PvsError};
+use sightline_pvs::{Granularity, Pvs, PvsError, runs};
 
 use crate::cells;
 use crate::diff_page::{self, CellChange};
 use crate::error::CliError;
 use crate::opening::{open, plural, scene_of};
 use crate::output::{Format, Output};
+use crate::printable;
 use crate::progress::say;
 use crate::result_args::DiffArgs;
 use crate::serve::print;
@@ -25,9 +26,9 @@ const LISTED: usize = 10;
 /// The change of one cell.
 struct Change {
     cell: u32,
-    /// Items of the newer set alone and of the older one alone, ascending.
-    came: Vec<u32>,
-    went: Vec<u32>,
+    /// Items of only the newer set and of only the older one.
+    came: Runs,
+    went: Runs,
     /// Those of them that the result which has them calls undecided.
     undecided: usize,
     /// The part of both sets' union that came or went.
@@ -36,6 +37,37 @@ struct Change {
     shares: Option<[f64; 2]>,
     /// Whether sampling alone cannot explain it; `None` where nothing bounds what sampling misses.
     is_beyond_noise: Option<bool>,
+}
+
+/// Ascending items as the boundaries of their runs: a few bytes of a result can stand for millions of items.
+#[derive(Default)]
+struct Runs(Vec<u32>);
+
+impl Runs {
+    /// Returns the number of items.
+    fn count(&self) -> usize {
+        self.0.chunks_exact(2).map(|run| (run[1] - run[0]) as usize).sum()
+    }
+
+    fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Returns the items of `self` that `other` does not have.
+    fn without(&self, other: &Self) -> Self {
+        let [left] = runs::sweep([&self.0, &other.0], |m| u32::from(m == 1));
+        Self(left)
+    }
+
+    /// Returns the items of both.
+    fn common(&self, other: &Self) -> Self {
+        let [both] = runs::sweep([&self.0, &other.0], |m| u32::from(m == 3));
+        Self(both)
+    }
+
+    fn has(&self, item: u32) -> bool {
+        self.0.partition_point(|bound| *bound <= item) % 2 == 1
+    }
 }
 
 /// How the items of two results are compared.
@@ -68,14 +100,14 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
     let is_bounded = changes.iter().any(|c| c.is_beyond_noise.is_some());
     let objects = objects(&results, &items, &changed);
     let total = |of: &dyn Fn(&Change) -> usize| changed.iter().map(|c| of(c)).sum::<usize>();
-    let (came, went) = (total(&|c| c.came.len()), total(&|c| c.went.len()));
+    let (came, went) = (total(&|c| c.came.count()), total(&|c| c.went.count()));
     let what = match &items {
         Items::Triangles => "triangles",
         Items::Objects { .. } => "objects",
     };
     if let Some(output) = &output {
         let scene = args.scene.as_ref().map(|path| scene_of(path, &args.kinds, newer, &args.newer));
-        let of = |c: &&Change| CellChange { cell: c.cell, came: c.came.len(), went: c.went.len() };
+        let of = |c: &&Change| CellChange { cell: c.cell, came: c.came.count(), went: c.went.count() };
         let cells: Vec<CellChange> = changed.iter().map(of).collect();
         let about = format!(
             "{} of {} changed: {came} {what} came and {went} went",
@@ -89,7 +121,7 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
     if json {
         let of_cell = |c: &&Change| {
             json!({
-                "cell": c.cell, "came": c.came.len(), "went": c.went.len(), "undecided": c.undecided,
+                "cell": c.cell, "came": c.came.count(), "went": c.went.count(), "undecided": c.undecided,
                 "fraction": c.fraction, "came_share": c.shares.map(|s| s[0]),
                 "went_share": c.shares.map(|s| s[1]), "beyond_noise": c.is_beyond_noise,
             })
@@ -142,8 +174,8 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             &mut worst.iter().map(|c| {
                 [
                     c.cell.to_string(),
-                    c.came.len().to_string(),
-                    c.went.len().to_string(),
+                    c.came.count().to_string(),
+                    c.went.count().to_string(),
                     c.undecided.to_string(),
                     format!("{:.2} %", 100.0 * c.fraction),
                 ]
@@ -153,9 +185,9 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             &mut out,
             args.markdown,
             ["object", "came in cells", "went in cells"],
-            &mut objects
-                .iter()
-                .map(|(name, [came, went])| [name.clone(), came.to_string(), went.to_string()]),
+            &mut objects.iter().map(|(name, [came, went])| {
+                [printable::name(name).into_owned(), came.to_string(), went.to_string()]
+            }),
         );
         print(out.trim_end())?;
     }
@@ -217,27 +249,18 @@ fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
         if !results[0].is_reached(cell)? && !results[1].is_reached(cell)? {
             continue;
         }
-        let mut sets = [Vec::new(), Vec::new()];
-        let mut open = [Vec::new(), Vec::new()];
-        for k in 0..2 {
-            set(&results[k], items, k, cell, [&mut sets[k], &mut open[k]])?;
-        }
-        let [a, b] = &sets;
-        let without = |of: &[u32], other: &[u32]| -> Vec<u32> {
-            of.iter().copied().filter(|id| other.binary_search(id).is_err()).collect()
-        };
-        let (went, came) = (without(a, b), without(b, a));
-        let is_in = |set: &[u32], id: &u32| set.binary_search(id).is_ok();
-        let undecided = went.iter().filter(|id| is_in(&open[0], id)).count()
-            + came.iter().filter(|id| is_in(&open[1], id)).count();
-        let union = a.len() + came.len();
-        let both = |came: &[u32], went: &[u32]| -> Result<Option<[f64; 2]>, CliError> {
+        let [a, older_open] = set(&results[0], items, 0, cell)?;
+        let [b, newer_open] = set(&results[1], items, 1, cell)?;
+        let (went, came) = (a.without(&b), b.without(&a));
+        let undecided = went.common(&older_open).count() + came.common(&newer_open).count();
+        let union = a.count() + came.count();
+        let both = |came: &Runs, went: &Runs| -> Result<Option<[f64; 2]>, CliError> {
             let came = share(&results[1], items, cell, came)?;
             Ok(came.zip(share(&results[0], items, cell, went)?).map(|(came, went)| [came, went]))
         };
         let shares = both(&came, &went)?;
         // What is undecided may be there or not in any case.
-        let certain = both(&without(&came, &open[1]), &without(&went, &open[0]))?;
+        let certain = both(&came.without(&newer_open), &went.without(&older_open))?;
         // The older result may miss what came, and the newer one what went.
         let may_miss =
             [0, 1].map(|k| if misses_nothing(&results[k]) { Some(0.0) } else { bounds[k][cell as usize] });
@@ -245,7 +268,7 @@ fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
             (Some([came, went]), [Some(older), Some(newer)]) => Some(came > older || went > newer),
             _ => None,
         };
-        let fraction = (came.len() + went.len()) as f64 / union.max(1) as f64;
+        let fraction = (came.count() + went.count()) as f64 / union.max(1) as f64;
         all.push(Change { cell, came, went, undecided, fraction, shares, is_beyond_noise });
     }
     Ok(all)
@@ -257,58 +280,57 @@ fn misses_nothing(pvs: &Pvs) -> bool {
 }
 
 /// The set of a cell and its undecided part, as items that both results number alike.
-fn set(
-    pvs: &Pvs,
-    items: &Items,
-    result: usize,
-    cell: u32,
-    [visible, undecided]: [&mut Vec<u32>; 2],
-) -> Result<(), PvsError> {
+fn set(pvs: &Pvs, items: &Items, result: usize, cell: u32) -> Result<[Runs; 2], PvsError> {
     match items {
-        Items::Triangles => {
-            pvs.visible(cell, visible)?;
-            pvs.undecided(cell, undecided)
-        }
+        Items::Triangles => Ok([Runs(pvs.visible_bounds(cell)?), Runs(pvs.undecided_bounds(cell)?)]),
         Items::Objects { of, .. } => {
-            pvs.visible_objects(cell, visible)?;
-            pvs.undecided_objects(cell, undecided)?;
-            for ids in [visible, undecided] {
+            let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+            pvs.visible_objects(cell, &mut visible)?;
+            pvs.undecided_objects(cell, &mut undecided)?;
+            Ok([visible, undecided].map(|mut ids| {
                 ids.iter_mut().for_each(|id| *id = of[result][*id as usize]);
                 ids.sort_unstable();
-            }
-            Ok(())
+                Runs(runs::from_ids(&ids))
+            }))
         }
     }
 }
 
 /// The least share of the view that some items of a cell take together, on average over its viewpoints;
 /// `None` without contributions of such items.
-fn share(pvs: &Pvs, items: &Items, cell: u32, of: &[u32]) -> Result<Option<f64>, CliError> {
+fn share(pvs: &Pvs, items: &Items, cell: u32, of: &Runs) -> Result<Option<f64>, CliError> {
     let is_one = matches!((items, pvs.granularity()), (Items::Triangles, Granularity::Triangles));
     let Some(all) = pvs.contributions(cell)?.filter(|_| is_one) else { return Ok(None) };
     let mut ids = Vec::new();
     pvs.visible_items(cell, &mut ids)?;
-    let of_item = |id: &u32| ids.binary_search(id).ok().and_then(|k| all.get(k)).map_or(0.0, |c| c.mean()[0]);
-    Ok(Some(of.iter().map(of_item).sum()))
+    // Contributions have a byte for each visible item, which is more than enough for these ids.
+    let shares = ids.iter().zip(&all).filter(|(id, _)| of.has(**id)).map(|(_, c)| c.mean()[0]);
+    Ok(Some(shares.sum()))
 }
 
 /// For each object, in how many cells something of it came or went; those in most cells first.
 fn objects(results: &[Pvs; 2], items: &Items, changed: &[&Change]) -> Vec<(String, [usize; 2])> {
-    let name = |result: usize, id: u32| -> String {
+    let named = |result: usize, of: &Runs| -> BTreeSet<String> {
+        let each = of.0.chunks_exact(2);
         match items {
-            Items::Objects { names, .. } => names[id as usize].clone(),
+            Items::Objects { names, .. } => {
+                each.flat_map(|run| run[0]..run[1]).map(|id| names[id as usize].clone()).collect()
+            }
             Items::Triangles => {
                 let objects = results[result].objects();
-                let at = objects.partition_point(|o| o.first <= id).saturating_sub(1);
-                objects.get(at).map_or_else(String::new, |o| o.name.clone())
+                let touched = |run: &[u32]| {
+                    let first = objects.partition_point(|o| o.first + o.count <= run[0]);
+                    let end = objects.partition_point(|o| o.first < run[1]);
+                    objects[first..end.max(first)].iter()
+                };
+                each.flat_map(touched).filter(|o| o.count > 0).map(|o| o.name.clone()).collect()
             }
         }
     };
     let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
     for change in changed {
-        for (k, (result, ids)) in [(1, &change.came), (0, &change.went)].into_iter().enumerate() {
-            let names: BTreeSet<String> = ids.iter().map(|id| name(result, *id)).collect();
-            names.into_iter().for_each(|name| counts.entry(name).or_default()[k] += 1);
+        for (k, (result, of)) in [(1, &change.came), (0, &change.went)].into_iter().enumerate() {
+            named(result, of).into_iter().for_each(|name| counts.entry(name).or_default()[k] += 1);
         }
     }
     let mut all: Vec<(String, [usize; 2])> = counts.into_iter().collect();

@@ -5,6 +5,14 @@ use std::process::ExitCode;
 
 use sightline_scene::SceneError;
 
+use crate::exhaustion::Exhausted;
+
+/// The first words of an error that the coordinator has reported.
+const ANSWERED: &str = "the coordinator answered";
+
+/// The exit code of a fault of the program or the machine.
+pub const INTERNAL: u8 = 1;
+
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
@@ -49,7 +57,7 @@ impl CliError {
     /// The exit code.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Internal(_) => 1,
+            Self::Internal(_) => INTERNAL,
             Self::Usage(_) => 2,
             Self::Input(_) => 3,
             Self::Coordinator(_) => 4,
@@ -57,6 +65,30 @@ impl CliError {
             Self::Different(_) => 6,
             Self::Interrupted(_) => 130,
         })
+    }
+
+    /// Finds the resource of this process that was exhausted, which is not a fault of the command's input.
+    /// The coordinator of a bake is part of the process.
+    pub fn exhausted(&self, is_bake: bool) -> Option<Exhausted> {
+        match self {
+            // A thread that cannot start, where the error reports nothing else.
+            Self::Internal(text) if text.starts_with("Resource temporarily unavailable") => {
+                Some(Exhausted::Threads)
+            }
+            Self::Internal(text) | Self::Input(text) | Self::Usage(text) => Exhausted::in_error(text),
+            Self::Coordinator(text) if is_bake || !text.starts_with(ANSWERED) => Exhausted::in_error(text),
+            Self::Job(text) if is_bake => Exhausted::in_error(text),
+            _ => None,
+        }
+    }
+
+    /// Returns the exit code of a bake, whose coordinator is part of the process. A coordinator that does not
+    /// answer is a fault of the machine then.
+    pub fn exit_code_of_bake(&self) -> ExitCode {
+        match self {
+            Self::Coordinator(_) => ExitCode::from(INTERNAL),
+            _ => self.exit_code(),
+        }
     }
 
     /// A fault of the program or the machine.
@@ -90,8 +122,8 @@ impl CliError {
         match s.code() {
             tonic::Code::InvalidArgument => Self::Input(s.message().to_owned()),
             tonic::Code::DataLoss => Self::Internal(s.message().to_owned()),
-            code if s.message().is_empty() => Self::Coordinator(format!("the coordinator answered: {code}")),
-            _ => Self::Coordinator(format!("the coordinator answered: {}", s.message())),
+            code if s.message().is_empty() => Self::Coordinator(format!("{ANSWERED}: {code}")),
+            _ => Self::Coordinator(format!("{ANSWERED}: {}", s.message())),
         }
     }
 }
@@ -104,6 +136,9 @@ impl From<SceneError> for CliError {
 
 impl From<sightline_pvs::PvsError> for CliError {
     fn from(e: sightline_pvs::PvsError) -> Self {
-        Self::Input(e.to_string())
+        match e {
+            sightline_pvs::PvsError::Memory { .. } => Self::Internal(e.to_string()),
+            e => Self::Input(e.to_string()),
+        }
     }
 }

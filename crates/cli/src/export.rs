@@ -105,11 +105,10 @@ fn manifest(pvs: &Pvs) -> Result<Value, CliError> {
     }
     let neighbours = neighbours(&bounds, &reached);
     let mut cells = Vec::new();
-    let (mut ids, mut items) = (Vec::new(), Vec::new());
+    let mut items = Vec::new();
     for number in &reached {
         let Some(mut value) = cell(pvs, *number)? else { continue };
-        pvs.visible(*number, &mut ids)?;
-        value["triangles"] = ids.len().into();
+        value["triangles"] = pvs.visible_count(*number)?.into();
         value["neighbours"] = neighbours[*number as usize].iter().copied().collect();
         // The least share of the view of each object, where the bake measured objects.
         if pvs.granularity() == sightline_pvs::Granularity::Objects

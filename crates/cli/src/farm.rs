@@ -64,11 +64,11 @@ pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_err(CliError::internal)?;
     let ago = |time: Duration| now.saturating_sub(time).as_millis() as u64;
     let request = v1::InvalidateRequest {
-        job: args.id.unwrap_or(0),
+        job: args.id,
         tiles: args.tiles.clone(),
         worker: args.worker.clone().unwrap_or_default(),
-        from_ms: args.since.map_or(0, ago),
-        to_ms: args.until.map_or(0, ago),
+        from_ms: args.since.map(ago),
+        to_ms: args.until.map(ago),
     };
     let answer = with(&args.remote, |mut farm| async move {
         let answer = farm.invalidate(request).await;
@@ -241,7 +241,7 @@ fn tile_value(t: &v1::TileInfo) -> Value {
 
 /// Prints what happened to a job or on the farm.
 pub fn logs(args: &LogsArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::EventsRequest { job: args.id.unwrap_or(0), after: args.after, follow: args.follow };
+    let request = v1::EventsRequest { job: args.id, after: args.after, follow: args.follow };
     with(&args.remote, |mut farm| async move {
         let mut events = farm.events(request).await.map_err(|s| CliError::status(&s))?.into_inner();
         let mut traced = args.trace.then(Timeline::default);

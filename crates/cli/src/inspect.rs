@@ -10,6 +10,7 @@ use crate::args::InfoArgs;
 use crate::cells;
 use crate::error::CliError;
 use crate::opening::{self, open, plural};
+use crate::printable;
 use crate::serve::print;
 
 /// The version of what `info` and `dump` print.
@@ -127,11 +128,10 @@ impl Summary {
         // Collected before the error is taken, so that the first damaged cell is reported on every run.
         let sets: Vec<Result<(u64, u64, bool, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
-            .map_init(Vec::new, |ids, cell| {
-                pvs.undecided(cell, ids)?;
-                let undecided = ids.len() as u64;
-                pvs.visible(cell, ids)?;
-                Ok((ids.len() as u64, undecided, pvs.is_set_aside(cell)?, pvs.is_reached(cell)?))
+            .map(|cell| {
+                let (visible, undecided) = (pvs.visible_count(cell)?, pvs.undecided_count(cell)?);
+                let sizes = (u64::from(visible), u64::from(undecided));
+                Ok((sizes.0, sizes.1, pvs.is_set_aside(cell)?, pvs.is_reached(cell)?))
             })
             .collect();
         let sets: Vec<(u64, u64, bool, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
@@ -381,7 +381,8 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
     }
     for (i, o) in pvs.objects().iter().enumerate().take(OBJECTS_SHOWN) {
         let last = u64::from(o.first) + u64::from(o.count);
-        lines.push(format!("object {i}: {} (triangles {}..{last})", o.name, o.first));
+        let name = printable::name(&o.name);
+        lines.push(format!("object {i}: {name} (triangles {}..{last})", o.first));
     }
     if pvs.objects().len() > OBJECTS_SHOWN {
         lines.push(format!("… and {} more objects; --json lists all", pvs.objects().len() - OBJECTS_SHOWN));

@@ -9,6 +9,7 @@ use sightline_model::{
     BackendChoice, CellToCell, ErrorMeasure, Granularity, JobSpec, MOST_LINE_DEPTH, Method, Sampler,
     SamplingParams, SupersetChoice,
 };
+use sightline_sampling::embree;
 use sightline_scene::{Aabb, Scene};
 use sightline_viewcells::{Division, MOST_BOXES};
 
@@ -134,8 +135,9 @@ struct CubeArgs {
     /// The same threshold for cubes inside closed solids, where no viewpoint is expected. Default: 0.5.
     #[arg(long, value_name = "E", allow_negative_numbers = true)]
     interior_threshold: Option<f64>,
-    /// How the cubes at the corners are compared: by their sets (Err), pixel by pixel (Err′), or by their
-    /// sets in each of 24 groups of directions (Err″). Default: strata.
+    /// Comparison of the cubes at the corners: by their sets (Err), pixel by pixel (Err′), or by their sets
+    /// in each of 24 groups of directions (Err″). With uniform, no cubes are compared, and every rectangle is
+    /// subdivided down to --min-distance. Default: strata.
     #[arg(long, value_parser = choice::<ErrorMeasure>())]
     error_measure: Option<ErrorMeasure>,
     /// Never subdivide a rectangle within one cell whose longer side is at most this fraction of the cell's
@@ -202,6 +204,11 @@ impl JobArgs {
                 "--sampler lines supports a --max-depth of at most 12; give a smaller one, or --sampler \
                  cubes, which takes far longer",
             );
+        }
+        // Where no graphics card is found, auto means Embree.
+        if matches!(self.backend, BackendChoice::Auto | BackendChoice::Cpu) && method != Method::Portals {
+            let narrow = |e| CliError::Input(format!("{}: {e}", path.display()));
+            embree::check_width(scene).map_err(narrow)?;
         }
         if self.certificates && method == Method::Aggressive {
             return refuse("--certificates needs --method exact or verified: sampling alone proves nothing");

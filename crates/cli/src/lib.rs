@@ -34,6 +34,7 @@ mod diff_page;
 mod dump;
 mod enclosure;
 mod error;
+mod exhaustion;
 mod export;
 mod export_gltf;
 mod farm;
@@ -57,6 +58,7 @@ mod pace;
 mod place_args;
 mod places;
 mod portals;
+mod printable;
 mod progress;
 mod query;
 mod reasons;
@@ -94,12 +96,25 @@ use std::process::ExitCode;
 use clap::Parser as _;
 
 use crate::args::{Cli, Command};
-use crate::error::CliError;
+use crate::error::{CliError, INTERNAL};
+pub use crate::exhaustion::Allocator;
+use crate::exhaustion::Exhausted;
 use crate::serve_args::LogFormat;
 
 /// Runs the command that the arguments of this process name.
 pub fn command() -> ExitCode {
     quiet_vulkan();
+    exhaustion::watch();
+    std::panic::catch_unwind(of_arguments).unwrap_or_else(|panic| {
+        // The hook has printed the message.
+        if Exhausted::in_panic(&*panic).is_none() {
+            progress::say("error: a fault of the program ended this command; report the message above");
+        }
+        ExitCode::from(INTERNAL)
+    })
+}
+
+fn of_arguments() -> ExitCode {
     let cli = Cli::parse_from(kind_args::with_opaque_alone(std::env::args_os()));
     let filter = tracing_subscriber::EnvFilter::try_from_env("SIGHTLINE_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(cli.default_log()));
@@ -116,12 +131,19 @@ pub fn command() -> ExitCode {
     if cli.json {
         progress::tell_as_json();
     }
+    let is_bake = matches!(cli.command, Command::Bake(_));
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(e) => {
-            progress::say(&format!("error: {e}"));
-            e.exit_code()
-        }
+        Err(e) => match e.exhausted(is_bake) {
+            Some(what) => {
+                progress::say(&format!("error: {e}; {}", what.remedy()));
+                ExitCode::from(INTERNAL)
+            }
+            None => {
+                progress::say(&format!("error: {e}"));
+                if is_bake { e.exit_code_of_bake() } else { e.exit_code() }
+            }
+        },
     }
 }
 

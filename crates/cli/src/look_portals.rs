@@ -11,6 +11,7 @@ use crate::error::CliError;
 use crate::json_lines::JsonLines;
 use crate::look_lines::{self, Answer};
 use crate::opening::open;
+use crate::printable;
 use crate::progress::say;
 use crate::tetra_args::LookArgs;
 
@@ -59,7 +60,9 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
                 [] => format!("there is no door {name:?}: the result has no doors"),
-                _ => format!("there is no door {name:?}; the doors are {}", doors.join(", ")),
+                _ => {
+                    format!("there is no door {name:?}; the doors are {}", printable::name(&doors.join(", ")))
+                }
             })
         };
         let shut: Vec<usize> = line.shut.iter().map(number).collect::<Result<_, _>>()?;

@@ -1,5 +1,7 @@
 //! `sightline completions` and `sightline man`: what the arguments say of themselves, for shells and readers.
 
+use std::path::Path;
+
 use clap::CommandFactory as _;
 
 use crate::args::Cli;
@@ -18,6 +20,19 @@ pub fn completions(args: &CompletionsArgs) -> Result<(), CliError> {
 pub fn man(args: &ManArgs) -> Result<(), CliError> {
     let to = |e: &std::io::Error| CliError::writing(&args.folder, e);
     std::fs::create_dir_all(&args.folder).map_err(|e| to(&e))?;
-    clap_mangen::generate_to(Cli::command(), &args.folder).map_err(|e| to(&e))?;
+    let mut all = Cli::command().disable_help_subcommand(true);
+    all.build();
+    write_pages(all, &args.folder).map_err(|e| to(&e))?;
     print(&format!("wrote the manual pages to {}: man -l {0}/sightline.1", args.folder.display()))
+}
+
+/// Writes the page of a command, after the pages of its subcommands.
+fn write_pages(command: clap::Command, folder: &Path) -> std::io::Result<()> {
+    for below in command.get_subcommands().filter(|c| !c.is_hide_set()) {
+        write_pages(below.clone(), folder)?;
+    }
+    let page = clap_mangen::Man::new(command);
+    let mut text = Vec::new();
+    page.render(&mut text)?;
+    sightline_files::write(&folder.join(page.get_filename()), text)
 }

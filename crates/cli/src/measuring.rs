@@ -201,14 +201,8 @@ fn listed(
 /// Creates the folder for images and checks, by writing a file, that it is writable, before any frame is
 /// rendered.
 fn writable_folder(dir: &Path) -> Result<(), CliError> {
-    let probe = dir.join(format!(".sightline-{}", std::process::id()));
-    std::fs::create_dir_all(dir)
-        .and_then(|()| std::fs::File::create(&probe))
-        .and_then(|_| std::fs::remove_file(&probe))
-        .map_err(|e| {
-            let dir = dir.display();
-            CliError::Usage(format!(
-                "{dir} cannot be written: {e}; give --images a folder where you may write"
-            ))
-        })
+    std::fs::create_dir_all(dir).and_then(|()| sightline_files::check(&dir.join("image"))).map_err(|e| {
+        let dir = dir.display();
+        CliError::Usage(format!("{dir} cannot be written: {e}; give --images a folder where you may write"))
+    })
 }

@@ -19,6 +19,7 @@ pub fn plural(n: usize, what: &str) -> String {
 pub fn open(path: &Path) -> Result<Pvs, CliError> {
     Pvs::open(path).map_err(|e| match e {
         PvsError::Open { .. } => CliError::Input(format!("{e}; name a file that `sightline bake` wrote")),
+        PvsError::Memory { .. } => CliError::Internal(format!("{}: {e}", path.display())),
         e => CliError::Input(format!("{}: {e}", path.display())),
     })
 }

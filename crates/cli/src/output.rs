@@ -1,12 +1,12 @@
-//! Output files: which existing files may be replaced, and how a file is replaced without loss.
+//! Output files of commands: the rules for existing files, over the synced replacement of `sightline_files`.
 //!
-//! A file is written under a temporary name in the same folder and then renamed, so nobody ever sees an
-//! incomplete file; the crate tempfile would replace only the choice of that name. Only a file of the same
-//! format is replaced, because a user may give `-o` the name of the model by mistake.
+//! Only a file of the same format is replaced, because a user may give `-o` the name of the model by mistake.
 
 use std::fs::File;
-use std::io::{BufWriter, Read as _, Write};
+use std::io::{Read as _, Write};
 use std::path::{Path, PathBuf};
+
+use sightline_files::{Access, NewFile, folder_of as folder};
 
 use crate::error::CliError;
 
@@ -117,6 +117,17 @@ impl Output {
                  ending"
             ));
         }
+        // Before the path is resolved: a pipe has none, although the link /dev/stdout leads to it.
+        if let Ok(there) = std::fs::metadata(path) {
+            if there.is_dir() {
+                return refuse(format!("it is a folder; give {flag} the name of a file"));
+            }
+            if !there.is_file() {
+                return refuse(format!(
+                    "it is no ordinary file (a device or a pipe); give {flag} another name"
+                ));
+            }
+        }
         let target = match std::fs::canonicalize(path) {
             Ok(target) => target,
             Err(_) if path.is_symlink() => {
@@ -134,15 +145,7 @@ impl Output {
         if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
             return refuse(format!("that is the input itself; give {flag} another name"));
         }
-        if let Ok(there) = std::fs::metadata(&target) {
-            if there.is_dir() {
-                return refuse(format!("it is a folder; give {flag} the name of a file"));
-            }
-            if !there.is_file() {
-                return refuse(format!(
-                    "it is no ordinary file (a device or a pipe); give {flag} another name"
-                ));
-            }
+        if target.exists() {
             let mut begins = Vec::new();
             File::open(&target)
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
@@ -156,12 +159,10 @@ impl Output {
                 ));
             }
         }
-        let output = Self { named: path.to_owned(), target };
         // Only an attempt shows reliably whether the folder is writable.
-        let part = output.part();
-        let tried = File::create(&part).map(drop).and_then(|()| std::fs::remove_file(&part));
-        tried.map_err(|e| refusal(format!("{e}; give {flag} a file in a folder where you may write")))?;
-        Ok(output)
+        sightline_files::check(&target)
+            .map_err(|e| refusal(format!("{e}; give {flag} a file in a folder where you may write")))?;
+        Ok(Self { named: path.to_owned(), target })
     }
 
     /// Whether both are one file.
@@ -193,36 +194,25 @@ impl Output {
     /// # Errors
     /// [`CliError::Internal`] when the file cannot be created.
     pub fn begin(&self) -> Result<Part<'_>, CliError> {
-        let path = self.part();
-        let file = File::create(&path).map_err(|e| CliError::writing(&self.named, &e))?;
-        Ok(Part { of: self, path, file: BufWriter::new(file) })
-    }
-
-    fn part(&self) -> PathBuf {
-        let mut name = self.target.file_name().unwrap_or_default().to_owned();
-        // Processes of two containers that share a folder may have the same number, so the time is added.
-        let now = std::time::UNIX_EPOCH.elapsed().map_or(0, |d| d.as_nanos());
-        name.push(format!(".part-{}-{now:x}", std::process::id()));
-        self.target.with_file_name(name)
+        let file = NewFile::begin(&self.target, Access::Shared);
+        Ok(Part { of: self, file: file.map_err(|e| CliError::writing(&self.named, &e))? })
     }
 }
 
-/// A file that is being written under a temporary name. Dropped before [`Part::place`], it is removed.
+/// A file under a temporary name. Dropped before [`Part::place`], the file is removed.
 #[derive(Debug)]
 pub struct Part<'a> {
     of: &'a Output,
-    path: PathBuf,
-    file: BufWriter<File>,
+    file: NewFile,
 }
 
 impl Part<'_> {
-    /// Moves the complete file to its place.
+    /// Syncs the complete file and moves it to its place.
     ///
     /// # Errors
-    /// [`CliError::Internal`] when the file cannot be written or moved.
-    pub fn place(mut self) -> Result<(), CliError> {
-        let placed = self.file.flush().and_then(|()| std::fs::rename(&self.path, &self.of.target));
-        placed.map_err(|e| CliError::writing(&self.of.named, &e))
+    /// [`CliError::Internal`] when the file cannot be written, synced or moved.
+    pub fn place(self) -> Result<(), CliError> {
+        self.file.commit().map_err(|e| CliError::writing(&self.of.named, &e))
     }
 }
 
@@ -234,19 +224,6 @@ impl Write for Part<'_> {
     fn flush(&mut self) -> std::io::Result<()> {
         self.file.flush()
     }
-}
-
-impl Drop for Part<'_> {
-    fn drop(&mut self) {
-        // After `place` no file has this name. Otherwise an error was reported already; a second one would
-        // not help.
-        let _ = std::fs::remove_file(&self.path);
-    }
-}
-
-/// The folder that contains a file.
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

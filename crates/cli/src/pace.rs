@@ -73,7 +73,7 @@ impl Pace {
             Left::Finishing
         } else if here > 0 && (job.tiles_total > FEW_TILES || here * 4 >= left) {
             // No job runs much longer than its time budget.
-            let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms as f64 * 1e-3);
+            let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms() as f64 * 1e-3);
             match seconds / here as f64 * left as f64 {
                 _ if budget > 0.0 && seconds >= budget => Left::Finishing,
                 left if budget > 0.0 => Left::Seconds(left.min(budget - seconds)),

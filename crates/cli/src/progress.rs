@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use sightline_proto::v1;
 
 use crate::pace::{Left, Pace};
+use crate::printable;
 
 /// Bars and lines share stderr. Every line has to go through this, because it would break a bar otherwise.
 static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
@@ -37,8 +38,13 @@ pub fn say_to(listener: impl Fn(&str) + Send + Sync + 'static) {
     let _ = LISTENER.set(Box::new(listener));
 }
 
-/// Prints a line to stderr.
+/// Prints a line to stderr, with control characters escaped.
 pub fn say(text: &str) {
+    say_as_it_is(&printable::text(text));
+}
+
+/// Prints a line to stderr that may have the sequences of colours.
+fn say_as_it_is(text: &str) {
     if let Some(listener) = LISTENER.get() {
         listener(text);
     } else if std::io::stderr().is_terminal() {
@@ -75,7 +81,8 @@ impl std::io::Write for LogLine {
 impl Drop for LogLine {
     fn drop(&mut self) {
         if !self.0.is_empty() {
-            say(String::from_utf8_lossy(&self.0).trim_end());
+            // The log escapes the texts of other programs.
+            say_as_it_is(String::from_utf8_lossy(&self.0).trim_end());
         }
     }
 }

@@ -1,16 +1,20 @@
 //! `sightline query`: the set of the cell that contains a point, or whether the cell sees a place.
 
+use std::io::Write as _;
+
+use serde::Serialize;
 use serde_json::{Value, json};
 use sightline_pvs::{Granularity, Pvs, PvsError};
 use sightline_scene::Scene;
 
 use crate::args::{Items, QueryArgs};
-use crate::dump::sets;
+use crate::dump::{Ids, corners, sets};
 use crate::enclosure::of_result;
 use crate::error::CliError;
 use crate::opening::{open, plural, scene_of};
+use crate::printable;
 use crate::progress::say;
-use crate::serve::print;
+use crate::serve::{print, print_json, print_with};
 use crate::why::{self, Question};
 
 /// Answers a query.
@@ -156,35 +160,50 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), CliErro
             "the sets name no clusters; bake with --granularity clusters".to_owned(),
         ));
     }
-    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
-    sets(pvs, cell, args.items, &mut visible, &mut undecided)?;
-    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    let [visible, undecided] = sets(pvs, cell, args.items)?;
+    let set_aside = pvs.is_set_aside(cell)?;
     if json {
-        let value = json!({
-            "cell": cell, "min": min, "max": max, "items": args.items.name(),
-            "visible": visible, "undecided": undecided,
-            "set_aside": pvs.is_set_aside(cell)?,
-        });
-        return print(&value.to_string());
+        let [min, max] = corners(pvs, cell);
+        let items = args.items.name();
+        return print_json(&Answer { cell, min, max, items, visible, undecided, set_aside });
     }
-    let list: Vec<String> = visible
-        .iter()
-        .map(|id| match args.items {
-            Items::Objects => format!("{id} {}", pvs.objects()[*id as usize].name),
-            _ => id.to_string(),
-        })
-        .collect();
-    let aside =
-        if pvs.is_set_aside(cell)? { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
+    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    let aside = if set_aside { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
     let what = args.items.name().trim_end_matches('s');
-    print(&format!(
-        "cell {cell}, {min:?} to {max:?}: {} {}{}{aside}\n{}",
-        plural(visible.len(), what),
-        if args.items == Items::Cells { "that it sees" } else { "to draw" },
-        match undecided.len() {
-            0 => String::new(),
-            n => format!(": {} visible, {n} undecided", visible.len() - n),
-        },
-        list.join(if args.items == Items::Objects { "\n" } else { " " })
-    ))
+    print_with(|out| {
+        writeln!(
+            out,
+            "cell {cell}, {min:?} to {max:?}: {} {}{}{aside}",
+            plural(visible.count(), what),
+            if args.items == Items::Cells { "that it sees" } else { "to draw" },
+            match undecided.count() {
+                0 => String::new(),
+                n => format!(": {} visible, {n} undecided", visible.count() - n),
+            },
+        )?;
+        for (k, id) in visible.iter().enumerate() {
+            match args.items {
+                Items::Objects if k > 0 => writeln!(out)?,
+                _ if k > 0 => write!(out, " ")?,
+                _ => {}
+            }
+            match args.items {
+                Items::Objects => write!(out, "{id} {}", printable::name(&pvs.objects()[id as usize].name))?,
+                _ => write!(out, "{id}")?,
+            }
+        }
+        writeln!(out)
+    })
+}
+
+/// The set of a cell as JSON.
+#[derive(Serialize)]
+struct Answer {
+    cell: u32,
+    min: [f64; 3],
+    max: [f64; 3],
+    items: &'static str,
+    visible: Ids,
+    undecided: Ids,
+    set_aside: bool,
 }

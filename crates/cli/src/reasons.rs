@@ -80,13 +80,20 @@ fn blockers(proofs: &[Proof]) -> Vec<u32> {
     all
 }
 
-/// The answer of a new query in the scene.
-pub fn ask(pvs: &Pvs, result: &Path, scene: &Scene, (cell, triangle): (u32, u32)) -> Result<Value, CliError> {
+/// Returns the answer of a new query in the scene, which ends undecided when `stop` is true.
+pub fn ask(
+    pvs: &Pvs,
+    result: &Path,
+    scene: &Scene,
+    (cell, triangle): (u32, u32),
+    stop: &dyn Fn() -> bool,
+) -> Result<Value, CliError> {
     let mut found = Value::Null;
-    ask_each(pvs, result, scene, cell, &[triangle], &mut |_, answer| {
+    let mut each = |_, answer| {
         found = answer;
         Ok(false)
-    })?;
+    };
+    ask_each(pvs, result, scene, (cell, &[triangle]), stop, &mut each)?;
     Ok(found)
 }
 
@@ -96,8 +103,9 @@ pub fn ask_as_message(
     result: &Path,
     scene: &Scene,
     (cell, triangle): (u32, u32),
+    stop: &dyn Fn() -> bool,
 ) -> Result<v1::WhyResponse, CliError> {
-    let answer = ask(pvs, result, scene, (cell, triangle))?;
+    let answer = ask(pvs, result, scene, (cell, triangle), stop)?;
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
     let ends = list(&answer["witness"]);
     let number = |value: &Value| value.as_f64().map(|x| x as f32);
@@ -116,13 +124,13 @@ pub fn ask_as_message(
     })
 }
 
-/// The answers of new queries in the scene.
+/// Answers new queries in the scene, which end undecided when `stop` is true.
 pub fn ask_each(
     pvs: &Pvs,
     result: &Path,
     scene: &Scene,
-    cell: u32,
-    triangles: &[u32],
+    (cell, triangles): (u32, &[u32]),
+    stop: &dyn Fn() -> bool,
     each: &mut Each<'_>,
 ) -> Result<(), CliError> {
     if !scene.sides().are_both() {
@@ -168,7 +176,8 @@ pub fn ask_each(
                     let meeting = overlap::triangles_in_box(scene, None, &within);
                     exact.surfaces().seen_from(exact.occluders(), view, &meeting)
                 });
-                queried(exact.occluders(), &Sources::new(view, places), target, turned_away.hides(triangle))
+                let sources = Sources::new(view, places);
+                queried(exact.occluders(), &sources, target, turned_away.hides(triangle), stop)
             }
         };
         if !each(triangle, answer)? {
@@ -179,19 +188,19 @@ pub fn ask_each(
 }
 
 /// The answer of one query about a triangle of which the closed surface it belongs to hides `turned_away`.
-fn queried(occluders: &Occluders, sources: &Sources<'_>, target: Polygon, turned_away: Hides) -> Value {
+fn queried(
+    occluders: &Occluders,
+    sources: &Sources<'_>,
+    target: Polygon,
+    turned_away: Hides,
+    stop: &dyn Fn() -> bool,
+) -> Value {
     let half = match turned_away {
         Hides::All => return json!({"state": "hidden", "blockers": [], "surface": true}),
         Hides::From(side) => Some(side),
         Hides::Nothing => None,
     };
-    match from_cell(
-        occluders,
-        sources,
-        (&[target], half),
-        (&Limits::default(), &|| false),
-        &mut Cost::default(),
-    ) {
+    match from_cell(occluders, sources, (&[target], half), (&Limits::default(), stop), &mut Cost::default()) {
         Found::Visible(ends) => {
             let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
             json!({"state": "visible", "witness": witness})

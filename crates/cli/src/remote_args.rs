@@ -169,7 +169,8 @@ pub struct LogsArgs {
 
 #[derive(Args, Debug)]
 pub struct WorkersArgs {
-    /// Let this quarantined worker work again, instead of listing workers.
+    /// Let this quarantined worker work again, instead of listing workers: its name, or its signature
+    /// NAME#IDENTITY from the list.
     #[arg(long, value_name = "WORKER")]
     pub release: Option<String>,
     #[command(flatten)]

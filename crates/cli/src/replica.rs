@@ -5,9 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_coordinator::store::{DatabaseAddress, OwnDirectory, Replica};
-use sightline_coordinator::{Config, Coordinator, Front, Tls};
+use sightline_coordinator::{Config, Coordinator, Front, Listener, Tls};
 use sightline_proto::connecting::Credentials;
-use tokio::net::TcpListener;
 
 use crate::error::CliError;
 use crate::progress::say;
@@ -17,13 +16,13 @@ use crate::serve_args::CoordinatorArgs;
 /// Where a coordinator listens.
 pub struct Listening {
     /// For gRPC.
-    pub calls: TcpListener,
+    pub calls: Listener,
     /// Its address, as clients write it.
     pub url: String,
     /// For pages, and their address.
-    pub pages: Option<(TcpListener, String)>,
+    pub pages: Option<(Listener, String)>,
     /// For who watches machines, and the address of the metrics.
-    pub metrics: Option<(TcpListener, String)>,
+    pub metrics: Option<(Listener, String)>,
 }
 
 impl Listening {
@@ -92,9 +91,9 @@ pub async fn serve(
     };
     tokio::select! {
         ended = leads => ended.map_err(CliError::internal)?,
-        ended = front.serve(calls, tls.clone()) => ended.map_err(CliError::internal)?,
-        ended = shown => ended.map_err(CliError::internal)?,
-        ended = counted => ended.map_err(CliError::internal)?,
+        never = front.serve(calls, tls.clone()) => match never {},
+        ended = shown => match ended.map_err(CliError::internal)? {},
+        never = counted => match never {},
         () = stop_signal() => replica.resign().await,
     }
     front.close();
@@ -127,7 +126,7 @@ fn own_name(data_dir: &Path) -> Result<String, CliError> {
         Ok(_) => Err(CliError::Input(format!("{}: holds no name; delete it, one is made", path.display()))),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
             let name = format!("{:016x}", getrandom::u64().map_err(CliError::internal)?);
-            std::fs::write(&path, &name).map_err(unreadable)?;
+            sightline_files::write(&path, &name).map_err(unreadable)?;
             Ok(name)
         }
         Err(e) => Err(unreadable(e)),

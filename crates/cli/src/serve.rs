@@ -1,10 +1,11 @@
 //! `sightline worker`, and the functions that other commands share with them.
 
+use std::io::{BufWriter, Write as _};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use sightline_coordinator::Probed;
+use sightline_coordinator::{ConnectionLimits, Connections, Listener, Probed};
 use sightline_model::BackendChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, Moved, Pulse, SceneCache, Stop, WorkerError};
@@ -12,6 +13,7 @@ use tokio::sync::watch;
 
 use crate::backends::{choice, say_missing};
 use crate::error::CliError;
+use crate::printable;
 use crate::progress::say;
 use crate::serve_args::WorkerArgs;
 
@@ -72,16 +74,12 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
 
 /// Serves what a worker tells of itself, as a coordinator does.
 async fn watch_at(address: SocketAddr, pulse: Arc<Pulse>) -> Result<(), CliError> {
-    let listener = sightline_coordinator::listen(address, true).await;
+    let connections = Connections::new(ConnectionLimits::of_process().map_err(CliError::internal)?);
+    let listener = Listener::bind(address, true, &connections).await;
     let listener = listener.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
     let address = listener.local_addr().map_err(CliError::internal)?;
     print(&format!("metrics on http://{address}/metrics"))?;
-    tokio::spawn(async move {
-        let served = sightline_coordinator::serve_probes(Arc::new(Watched(pulse)), listener).await;
-        if let Err(e) = served {
-            tracing::error!("the metrics are not served any more: {e}");
-        }
-    });
+    tokio::spawn(sightline_coordinator::serve_probes(Arc::new(Watched(pulse)), listener));
     Ok(())
 }
 
@@ -191,11 +189,26 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, CliError> {
         .map_err(CliError::internal)
 }
 
-/// Prints a result to stdout.
+/// Prints a result to stdout, with control characters escaped.
 pub fn print(text: &str) -> Result<(), CliError> {
-    use std::io::Write as _;
-    let mut out = std::io::stdout().lock();
-    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+    let text = printable::text(text);
+    print_with(|out| writeln!(out, "{text}"))
+}
+
+/// Prints a result to stdout as one line of JSON, which is never in memory as a whole.
+pub fn print_json(value: &impl serde::Serialize) -> Result<(), CliError> {
+    print_with(|out| {
+        printable::json(&mut *out, value)?;
+        writeln!(out)
+    })
+}
+
+/// Gives a function stdout to write to.
+pub fn print_with(
+    write: impl FnOnce(&mut BufWriter<std::io::StdoutLock<'_>>) -> std::io::Result<()>,
+) -> Result<(), CliError> {
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    match write(&mut out).and_then(|()| out.flush()) {
         Ok(()) => Ok(()),
         // The reader has closed the pipe, as in `sightline dump … | head`.
         Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),

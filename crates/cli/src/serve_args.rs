@@ -54,11 +54,11 @@ pub struct CoordinatorArgs {
     #[arg(long, value_name = "[USER:]NAME=N,…", requires = "tokens")]
     pub quota: Vec<String>,
     /// Delete jobs with their results this long after they ended, and scenes that no job names any more,
-    /// such as 720h. Default: keep them.
+    /// such as 720h. A step of the wall clock pauses this. Default: keep them.
     #[arg(long, value_name = "DUR", value_parser = crate::job_args::parse_duration)]
     pub keep: Option<Duration>,
-    /// While results and scenes have more bytes than this, delete the job that ended first, such as 500G.
-    /// Default: no bound.
+    /// While results and scenes have more bytes than this, delete the ended job with the lowest number, such
+    /// as 500G. Default: no bound.
     #[arg(long, value_name = "BYTES", value_parser = sightline_coordinator::bytes)]
     pub keep_bytes: Option<u64>,
     /// Have this share of the tiles, 0 to 1, computed again by another worker. Where the bytes differ, a

@@ -6,6 +6,7 @@ use sightline_proto::v1;
 use sightline_traces::TraceId;
 
 use crate::error::CliError;
+use crate::printable;
 use crate::progress::{counted, has_receivers, human};
 use crate::serve::print;
 
@@ -102,7 +103,7 @@ pub fn line(job: &v1::Job) -> String {
     // Workers without a tile have nothing to do then, by design.
     let alone = job.spec.as_ref().is_some_and(|s| {
         let cubes = s.sampling.as_ref().is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
-        s.time_budget_ms > 0 || cubes || s.ambient.is_some()
+        s.time_budget_ms() > 0 || cubes || s.ambient.is_some()
     });
     let alone = if alone && !job.teams.is_empty() {
         "\n  its tiles have one worker each: time budgets, cubes and receivers are not shared"
@@ -114,7 +115,7 @@ pub fn line(job: &v1::Job) -> String {
     format!(
         "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} {}, {} samples{priority}{workers}{more}",
         job.id,
-        job.name,
+        printable::name(&job.name),
         state(job),
         job.tiles_done,
         job.tiles_total,

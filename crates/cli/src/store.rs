@@ -11,7 +11,10 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 use sightline_coordinator::Config;
 use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
-use sightline_coordinator::store::{Entry, SledStore, Store, StoreError};
+use sightline_coordinator::ownership::{self, Ownership};
+use sightline_coordinator::store::{
+    BlobError, Damage, Entry, JournalError, Repaired, SledStore, Store, StoreError,
+};
 
 use crate::coordinating::blob_place;
 use crate::error::CliError;
@@ -20,6 +23,7 @@ use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::serve::print;
 use crate::store_args::{ExportArgs, ImportArgs, PlaceArgs, StoreArgs, StoreCommand, VerifyArgs};
+use crate::store_place::StorePlace;
 
 const FORMAT: &str = "sightline.store";
 const VERSION: u64 = 1;
@@ -61,19 +65,70 @@ fn open(place: &PlaceArgs) -> Result<SledStore, CliError> {
     SledStore::open(&state(place)?).map_err(of_store)
 }
 
+/// The outcome of `store verify`.
+struct Outcome {
+    /// Counts, and lost blobs.
+    found: Verified,
+    /// The number of tiles that are computed again; `None` without a repair of lost blobs.
+    opened: Option<u64>,
+    /// The journal with its damage, if it is damaged.
+    journal: Option<(PathBuf, Damage)>,
+    /// The repair of the journal, if it was necessary.
+    repaired: Option<Repaired>,
+    /// The relation of the blobs to the store.
+    ownership: Ownership,
+}
+
 fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
-    let opened = match &args.store {
-        Some(address) => Opened::at(address, "--store", args.store_ca.as_deref())?,
-        None => Opened::on_disk(&state(&args.place)?)?,
+    let folder = match args.store.as_deref().filter(|text| !text.is_empty()) {
+        None => Some(state(&args.place)?),
+        Some(text) => match StorePlace::parse(text, args.store_ca.as_deref())? {
+            StorePlace::Sled(folder) if folder.is_dir() => Some(folder),
+            StorePlace::Sled(folder) => {
+                return Err(CliError::Input(format!(
+                    "there is no folder {}; correct --store",
+                    folder.display()
+                )));
+            }
+            _ => None,
+        },
     };
-    let looked = look(args, &*opened.store);
-    opened.close();
-    let (found, opened) = looked?;
+    let changes = args.repair || args.claim_blobs;
+    let outcome = match &folder {
+        Some(folder) if !changes => {
+            let inspection = SledStore::inspect(folder).map_err(of_store)?;
+            let outcome = look(args, &inspection.store)?;
+            Outcome { journal: inspection.damage.map(|damage| (folder.join("journal"), damage)), ..outcome }
+        }
+        Some(folder) => {
+            let repaired = match args.repair {
+                true => SledStore::repair(folder).map_err(of_store)?,
+                false => None,
+            };
+            let opened = Opened::on_disk(folder)?;
+            let looked = look(args, &*opened.store);
+            opened.close();
+            Outcome { repaired, ..looked? }
+        }
+        None => {
+            let address = args.store.as_deref().unwrap_or_default();
+            let opened = Opened::at(address, "--store", args.store_ca.as_deref())?;
+            let looked = look(args, &*opened.store);
+            opened.close();
+            looked?
+        }
+    };
     if json {
-        print(&report(&found, opened).to_string())?;
+        print(&report(&outcome).to_string())?;
     } else {
-        tell(&found, opened)?;
+        tell(&outcome)?;
     }
+    if let Some((path, damage)) = outcome.journal {
+        let (offset, lost) = (damage.offset, damage.loss());
+        let error = JournalError::Damaged { path, offset, what: damage.what, lost };
+        return Err(CliError::Input(error.to_string()));
+    }
+    let Outcome { found, opened, .. } = outcome;
     // What is repaired is not lost, but for what has to be sent again.
     let mut rest = found.lost.values().filter(|(needs, _)| opened.is_none() || must_be_sent(needs));
     let Some((needs, why)) = rest.next() else { return Ok(()) };
@@ -86,8 +141,9 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     )))
 }
 
-/// What is lost, and the number of tiles that are computed again if it was repaired.
-fn look(args: &VerifyArgs, store: &dyn Store) -> Result<(Verified, Option<u64>), CliError> {
+/// Checks the records and the blobs, repairs lost outputs if `--repair` is given, and claims the blobs if
+/// `--claim-blobs` is given.
+fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, CliError> {
     let mut config = Config::new(args.place.data_dir.clone());
     config.blobs = blob_place(args.blobs.as_deref(), false)?;
     let folder = args.place.data_dir.join("blobs");
@@ -97,13 +153,29 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<(Verified, Option<u64>),
             folder.display()
         )));
     }
-    let blobs = config.open_blobs(None).map_err(|e| of_keeping(e.into()))?;
+    let blobs_fault = |e: BlobError| of_keeping(e.into());
+    // Copies of a bucket's blobs go into a folder that is removed.
+    let copies = tempfile::tempdir().map_err(CliError::internal)?;
+    let blobs = match args.repair || args.claim_blobs {
+        true => config.open_blobs(None),
+        false => config.inspect_blobs(copies.path()),
+    }
+    .map_err(blobs_fault)?;
     let found = keeping::verify(store, &*blobs, &|_| ()).map_err(of_keeping)?;
     let opened = match args.repair && !found.lost.is_empty() {
         true => Some(keeping::repair(store, &*blobs, &found).map_err(of_keeping)?),
         false => None,
     };
-    Ok((found, opened))
+    let own = store.identity().map_err(of_store)?.id();
+    if args.claim_blobs {
+        blobs.claim(own).map_err(blobs_fault)?;
+    }
+    let ownership = match ownership::inspect(own, &*blobs).map_err(of_keeping)? {
+        // The coordinator's next start names an empty blob store.
+        Ownership::Unnamed if found.blobs == 0 => Ownership::Own,
+        other => other,
+    };
+    Ok(Outcome { found, opened, journal: None, repaired: None, ownership })
 }
 
 fn must_be_sent(needs: &[Need]) -> bool {
@@ -119,31 +191,61 @@ fn need_text(need: &Need) -> String {
     }
 }
 
-fn report(found: &Verified, opened: Option<u64>) -> Value {
+fn report(outcome: &Outcome) -> Value {
+    let Outcome { found, opened, journal, repaired, ownership } = outcome;
     let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| {
         let needed: Vec<String> = needs.iter().map(need_text).collect();
         json!({"why": why, "needed": needed})
+    };
+    let damage = journal.as_ref().map(|(_, damage)| damage).or(repaired.as_ref().map(|r| &r.damage));
+    let damaged = repaired.as_ref().and_then(|repaired| repaired.damaged.as_ref());
+    let owner = match ownership {
+        Ownership::Own => "own",
+        Ownership::Foreign(_) => "foreign",
+        Ownership::Unnamed => "unnamed",
     };
     json!({
         "scenes": found.scenes, "jobs": found.jobs, "blobs": found.blobs, "bytes": found.bytes,
         "unneeded": found.unneeded, "unneeded_bytes": found.unneeded_bytes,
         "lost": found.lost.iter().map(lost).collect::<Vec<_>>(), "tiles_opened": opened,
+        "blobs_owner": owner,
+        "journal": damage.map(|damage| json!({
+            "offset": damage.offset, "fault": damage.what, "is_loss": damage.is_loss,
+            "is_unmeasured": damage.is_unmeasured,
+            "lost_jobs": damage.lost_jobs.map(|(first, last)| [first.0, last.0]),
+            "repaired": repaired.is_some(), "copy": damaged.map(|path| path.display().to_string()),
+        })),
     })
 }
 
-fn tell(found: &Verified, opened: Option<u64>) -> Result<(), CliError> {
+fn tell(outcome: &Outcome) -> Result<(), CliError> {
+    let Outcome { found, opened, repaired, ownership, journal } = outcome;
+    if let Some(Repaired { damage, damaged }) = repaired {
+        let copy = damaged
+            .as_ref()
+            .map_or_else(String::new, |path| format!("; the damaged journal is kept as {}", path.display()));
+        print(&format!(
+            "the journal was damaged at byte {} ({}) and is repaired: {}{copy}",
+            damage.offset,
+            damage.what,
+            damage.loss()
+        ))?;
+    }
     print(&format!(
         "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator \
          removes them a day after they were written",
         found.scenes, found.jobs, found.blobs, found.bytes, found.unneeded, found.unneeded_bytes
     ))?;
+    if let Some(refusal) = ownership.refusal() {
+        print(&refusal)?;
+    }
     for (needs, why) in found.lost.values() {
         let needs: Vec<String> = needs.iter().map(need_text).collect();
         print(&format!("LOST: {}: {why}", needs.join(", ")))?;
     }
     match opened {
         Some(tiles) => print(&format!("{tiles} tiles are computed again when the coordinator runs")),
-        None if found.lost.is_empty() => print("everything that is needed is there"),
+        None if found.lost.is_empty() && journal.is_none() => print("everything that is needed is there"),
         None => Ok(()),
     }
 }

@@ -12,7 +12,7 @@ pub struct StoreArgs {
 
 #[derive(Subcommand, Debug)]
 pub enum StoreCommand {
-    /// Read every record and every blob, and list what is lost. Exit code 3 when something is.
+    /// Check every record and every blob, and list the lost ones. Exit code 3 if records or blobs are lost.
     Verify(VerifyArgs),
     /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at
     /// its start when it is worth it.
@@ -60,9 +60,14 @@ pub struct VerifyArgs {
     /// Where the blobs are, as for the coordinator. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]
     pub blobs: Option<String>,
-    /// Remove damaged blobs, and have tiles and results that are lost computed again at the next start.
+    /// Repair a damaged journal, remove damaged blobs, and compute lost tiles and results again at the next
+    /// start. A copy of a damaged journal stays in `state/damaged`. Default: check only.
     #[arg(long)]
     pub repair: bool,
+    /// Record that the blobs belong to this store, so that its coordinator may remove unreferenced ones.
+    /// Only for a store whose records were restored or replaced on purpose.
+    #[arg(long)]
+    pub claim_blobs: bool,
 }
 
 #[derive(Args, Debug)]

@@ -18,6 +18,7 @@ use crate::backends::open_backend;
 use crate::error::CliError;
 use crate::opening::plural;
 use crate::output::{Format, Output};
+use crate::printable;
 use crate::progress::Progress;
 use crate::reasons::{Each, ask_each, keep_each};
 use crate::serve::print;
@@ -72,7 +73,7 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
             let triangles: Vec<u32> = (of.first..of.first.saturating_add(of.count)).collect();
             let mut answer = of_object(question, &triangles)?;
             (answer["object"], answer["name"]) = (index.into(), of.name.as_str().into());
-            (format!("object {}", of.name), triangles, answer)
+            (format!("object {}", printable::name(&of.name)), triangles, answer)
         }
     };
     answer["cell"] = question.cell.into();
@@ -91,7 +92,7 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
 impl Question<'_> {
     fn each(&self, triangles: &[u32], each: &mut Each<'_>) -> Result<(), CliError> {
         match &self.scene {
-            Some(scene) => ask_each(self.pvs, self.result, scene, self.cell, triangles, each),
+            Some(scene) => ask_each(self.pvs, self.result, scene, (self.cell, triangles), &|| false, each),
             None => keep_each(self.pvs, self.result, self.cell, triangles, each),
         }
     }
