@@ -129,7 +129,7 @@ find_adapter() {
     export VK_DRIVER_FILES=$icd
     probe || { unset VK_DRIVER_FILES && probe; } || true
   fi
-  [ -n "$profile" ] || die 'there is no adapter to measure; see that the driver of the GPU has its Vulkan part'
+  [ -n "$profile" ] || die 'there is no adapter to measure; see that the driver of the GPU has its Vulkan part and the libraries it loads (libegl1, libgl1, libglx0, libxext6)'
 }
 
 machine() {

@@ -4,7 +4,7 @@
 #   scripts/setup.sh [--for run|test]      default: run
 #
 # run   a C compiler (some crates build C), the Vulkan loader and a driver, Embree's run-time library
-# test  that, git, what the chaos harness needs (ip, openssl, faketime), and where CI is set what checks deploy/, a container
+# test  that, git, strace, what the chaos harness needs (ip, openssl, faketime), and where CI is set what checks deploy/, a container
 #       engine, compose and debootstrap. Elsewhere no engine is installed unasked,
 #       for its daemon runs as root; where one already runs, what the container test needs beside it is completed.
 #
@@ -60,6 +60,7 @@ if [ "$purpose" = test ]; then
   compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null || need postgresql 'the database of the tests of replicas, and of the chaos harness'
   have mcs || need mono-mcs 'compiles and runs the test of the C# reader'
   python3 -c 'import venv, ensurepip' 2>/dev/null || need python3-venv 'builds the Python package for its test, and checks the chart'
+  have strace || need strace 'records the order of system calls, for the tests of what is synced'
   have openssl || need openssl 'makes certificates, of the chaos harness too'
   # Two of them are daemons, which a package starts; elsewhere scripts/check-deploy.sh says what it leaves out.
   if in_ci; then

@@ -86,7 +86,7 @@ phase 'format' bounded 60 cargo fmt --all --check
 phase 'line width' bounded 60 scripts/lines.sh
 phase 'clippy' bounded 1200 cargo clippy --locked --workspace --all-targets -- -D warnings
 phase 'dependencies: licences, bans, sources, advisories' dependencies
-phase 'build' bounded 1800 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
+phase 'build' bounded 2700 bash -c 'cargo build --locked --workspace && cargo test --locked --workspace --no-run'
 # The integration tests run this program; without it they would build one of their own.
 export SIGHTLINE_BIN=${CARGO_TARGET_DIR:-$PWD/target}/debug/sightline
 phase 'deployment: compose, chart, units, alerts, certificates' bounded 300 scripts/check-deploy.sh
@@ -94,7 +94,7 @@ phase 'deployment: compose, chart, units, alerts, certificates' bounded 300 scri
 phase 'unit and property tests' bounded 900 cargo test --locked --workspace --lib --bins
 phase 'documentation' bounded 600 env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --quiet
 phase 'documentation tests' bounded 600 cargo test --locked --workspace --doc
-phase 'integration tests' bounded 1200 cargo test --locked --workspace --test '*' -- --skip containers_
+phase 'integration tests' bounded 2400 cargo test --locked --workspace --test '*' -- --skip containers_
 phase 'container test' containers
 
 printf '\n== passed\n'

@@ -174,7 +174,8 @@ def notes(farm: Farm, text: str) -> set[int]:
 def quarantined(farm: Farm) -> set[str] | None:
     """The names of the workers that are quarantined; none when they cannot be listed."""
     code, out, _ = farm.call(["workers"])
-    return set(QUARANTINED.findall(out)) if code == 0 else None
+    # A line begins with the name and the identity of a worker.
+    return {found.partition("#")[0] for found in QUARANTINED.findall(out)} if code == 0 else None
 
 
 def liars(farm: Farm) -> list[str]:

@@ -61,7 +61,7 @@ class Disk:
     def blobs(self, scenes: set[str]) -> tuple[list[Path], list[Path]]:
         """The stored scenes, by their digests, and the outputs and packs of tiles. Results are in neither."""
         # What a coordinator writes at its start, to see whether a bucket can be used, is no blob.
-        found = [path for path in _files(self._blobs) if path.parent.name != "tmp" and not path.name.startswith("probe")]
+        found = [path for path in _files(self._blobs) if path.parent.name != "tmp" and not path.name.startswith(("probe", "store-identity"))]
         of_scenes = [path for path in found if path.name in scenes]
         return of_scenes, [path for path in found if path not in of_scenes and _head(path) != b"\x89PVS"]
 
@@ -128,9 +128,9 @@ def tear(path: Path, most: int, fraction: float) -> str:
 
 
 def leave_unfinished(path: Path, fraction: float) -> str:
-    """Appends what a write that was cut short leaves behind: a frame's header and less than its bytes."""
+    """Appends an unfinished frame: its header and a part of its bytes."""
     length = 300
-    frame = length.to_bytes(4, "little") + bytes(range(7, 11)) + bytes(i * 37 % 251 for i in range(length))
+    frame = length.to_bytes(4, "little") + bytes(range(7, 23)) + bytes(i * 37 % 251 for i in range(length))
     part = frame[:1 + int(fraction * (len(frame) - 2))]
     try:
         with path.open("ab") as file:

@@ -76,7 +76,8 @@ def _believe_a_liar(farm: Farm) -> None:
 
 
 ACTS = {
-    "lose_commits": Act(_lose_commits, "was acknowledged and is not listed"),
+    # The coordinator itself finds it, and does not start.
+    "lose_commits": Act(_lose_commits, "the latest acknowledged changes of jobs are lost"),
     "change_calm_run": Act(_change_calm_run, "the first that differs"),
     "tell_a_secret": Act(_tell_a_secret, "contains a secret"),
     "panic": Act(_panic, "panicked at"),

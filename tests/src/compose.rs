@@ -57,6 +57,7 @@ impl Compose {
             .args(["--profile", "default"])
             .env("SIGHTLINE_IMAGE", &self.image)
             .env("SIGHTLINE_PORT", self.port.to_string())
+            .env("SIGHTLINE_OPEN_FILES", open_files().to_string())
             .env("SIGHTLINE_BACKEND", "cpu")
             .env("SIGHTLINE_WORKER_THREADS", "1");
         command
@@ -89,6 +90,15 @@ impl Compose {
     pub fn network(&self) -> String {
         format!("{}_cluster", self.project)
     }
+}
+
+/// Returns the number of open files for a container: 65 536, or the hard limit of this process, which is the
+/// daemon's on machines whose daemon may not raise it.
+fn open_files() -> u64 {
+    let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
+    let line = limits.lines().find_map(|line| line.strip_prefix("Max open files")).unwrap_or_default();
+    let hard = line.split_whitespace().nth(1).and_then(|hard| hard.parse().ok());
+    hard.map_or(65_536, |hard: u64| hard.min(65_536))
 }
 
 /// Runs `docker` with these arguments.

@@ -5,6 +5,17 @@ use std::net::TcpStream;
 
 /// A request with these header lines; gives the status and the body.
 pub fn ask(pages: &str, request: &str, headers: &str, body: impl AsRef<[u8]>) -> (u32, Vec<u8>) {
+    let (status, _, body) = ask_with_head(pages, request, headers, body);
+    (status, body)
+}
+
+/// Makes a request with these header lines; returns the status, the head of the answer, and the body.
+pub fn ask_with_head(
+    pages: &str,
+    request: &str,
+    headers: &str,
+    body: impl AsRef<[u8]>,
+) -> (u32, String, Vec<u8>) {
     let host = pages.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = TcpStream::connect(host).unwrap();
     let own = if headers.contains("Host:") { String::new() } else { format!("Host: {host}\r\n") };
@@ -20,7 +31,7 @@ pub fn ask(pages: &str, request: &str, headers: &str, body: impl AsRef<[u8]>) ->
     let status = head.split(' ').nth(1).unwrap().parse().unwrap();
     let body = answer.split_off(end + 4);
     let is_chunked = head.to_ascii_lowercase().contains("transfer-encoding: chunked");
-    (status, if is_chunked { joined(&body) } else { body })
+    (status, head, if is_chunked { joined(&body) } else { body })
 }
 
 /// The bytes of a body that came in chunks.

@@ -21,6 +21,7 @@ mod process;
 mod program;
 mod python;
 mod site;
+mod strace;
 
 use std::time::{Duration, Instant};
 
@@ -30,12 +31,13 @@ pub use collector::{Collector, Taken};
 pub use compose::{Compose, docker, logged, run};
 pub use dump::{Cell, Dump};
 pub use house::{across, house};
-pub use http::ask;
+pub use http::{ask, ask_with_head};
 pub use postgres::Postgres;
 pub use process::{Background, Coordinator, Run, Sandbox};
 pub use program::{example, in_ci, program};
 pub use python::{libraries, python, python_folder};
 pub use site::Site;
+pub use strace::{FILE_CALLS, Strace, SystemCall};
 
 /// A single command or wait that takes longer hangs.
 pub const LIMIT: Duration = Duration::from_secs(300);

@@ -17,6 +17,7 @@ use crate::{Dump, LIMIT, program, wait_for};
 pub struct Sandbox {
     folder: TempDir,
     variables: Vec<(OsString, OsString)>,
+    descriptors: Option<u32>,
     runs: AtomicU32,
 }
 
@@ -32,12 +33,18 @@ impl Sandbox {
         let folder = tempfile::tempdir().unwrap();
         // Nothing of the user's settings, and nothing into the user's cache.
         let cache = folder.path().join("cache").into();
-        Self { folder, variables: vec![("XDG_CACHE_HOME".into(), cache)], runs: AtomicU32::new(0) }
+        let variables = vec![("XDG_CACHE_HOME".into(), cache)];
+        Self { folder, variables, descriptors: None, runs: AtomicU32::new(0) }
     }
 
     /// Sets an environment variable for all that runs from now on.
     pub fn set(&mut self, name: &str, value: impl Into<OsString>) {
         self.variables.push((name.into(), value.into()));
+    }
+
+    /// Limits the files and connections that a process may have open, for all that runs from now on.
+    pub fn limit_descriptors(&mut self, most: u32) {
+        self.descriptors = Some(most);
     }
 
     /// A file in the folder.
@@ -66,7 +73,15 @@ impl Sandbox {
     }
 
     fn command(&self, program: &Path, line: &str) -> Command {
-        let mut command = Command::new(program);
+        let mut command = match self.descriptors {
+            None => Command::new(program),
+            Some(most) => {
+                // The shell's own `ulimit`, which sets both limits.
+                let mut command = Command::new("sh");
+                command.args(["-c", &format!("ulimit -n {most} && exec \"$0\" \"$@\"")]).arg(program);
+                command
+            }
+        };
         command
             .args(line.split_whitespace())
             .current_dir(self.folder.path())
@@ -79,9 +94,19 @@ impl Sandbox {
     /// Starts `sightline LINE` in the folder. The line is split at spaces; files are named relative to the
     /// folder.
     pub fn start(&self, line: &str) -> Background {
+        self.background(self.command(program(), line), line)
+    }
+
+    /// Runs `sightline LINE` to its end under limits that a shell sets, such as `ulimit -n 20`.
+    pub fn run_limited(&self, limits: &str, line: &str) -> Run {
+        let mut command = self.command(Path::new("sh"), "");
+        command.arg("-c").arg(format!("{limits} && exec \"$0\" {line}")).arg(program());
+        self.background(command, &format!("{line} after {limits}")).end()
+    }
+
+    fn background(&self, mut command: Command, line: &str) -> Background {
         let number = self.runs.fetch_add(1, Ordering::Relaxed);
         let [out, err] = ["out", "err"].map(|kind| self.path(&format!(".{number}.{kind}")));
-        let mut command = self.command(program(), line);
         // Files, not pipes: nobody has to keep reading.
         command.stdout(File::create(&out).unwrap()).stderr(File::create(&err).unwrap());
         let child = command.spawn().unwrap_or_else(|e| panic!("sightline {line} does not start: {e}"));

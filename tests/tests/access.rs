@@ -9,7 +9,7 @@ use rcgen::{CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpo
 use sightline_proto::connecting::{Bearer, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_tests::{Background, Coordinator, Sandbox, ask, assert_same, wait_for};
+use sightline_tests::{Background, Coordinator, Sandbox, ask, ask_with_head, assert_same, wait_for};
 
 /// Writes an authority as `NAME.pem` and gives it.
 fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair> {
@@ -359,24 +359,63 @@ fn calls_as_json_need_tokens_too() {
     assert_eq!(ask(&pages, list, &with("eve"), "{}").0, 200);
     assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("ada"), "{}").0, 403);
     assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("root"), "{}").0, 200);
-    // Pages show everybody's jobs: they ask for an admin's token, and keep it in a cookie.
+    // Pages show the jobs of all users: they ask for an admin's token.
     assert_eq!(ask(&pages, "GET /", "", "").0, 401);
     assert_eq!(ask(&pages, "GET /live", "", "").0, 401);
-    let cookie = |user: &str| format!("cookie: other=1; sightline-token={}\r\n", of(user));
-    assert_eq!(ask(&pages, "GET /", &cookie("ada"), "").0, 403);
-    let (code, page) = ask(&pages, "GET /", &cookie("root"), "");
-    assert!(code == 200 && page.len() > 10_000);
-    let scene = "content-type: application/octet-stream\r\n";
-    let bytes = sandbox.read("town.glb");
-    let put = ask(&pages, "POST /scenes?name=town.glb", &format!("{scene}{}", cookie("root")), bytes);
-    assert_eq!(put.0, 200);
+    assert_eq!(ask(&pages, "GET /", &with("ada"), "").0, 403);
     // The stream of a job shows it, to whom it may.
     let job = coordinator.ok(&format!("submit {JOB} --token-file ada.token")).trim().to_owned();
-    let live = |who: &str| first_of_stream(&pages, &format!("/live?job={job}"), &cookie(who), "event: job\n");
+    let live = |who: &str| first_of_stream(&pages, &format!("/live?job={job}"), &with(who), "event: job\n");
     assert!(live("root").contains("\"job\":{"));
-    assert_eq!(ask(&pages, &format!("GET /live?job={job}"), &cookie("ada"), "").0, 403);
+    assert_eq!(ask(&pages, &format!("GET /live?job={job}"), &with("ada"), "").0, 403);
+}
+
+#[test]
+fn browser_session_ends_at_logout_and_with_its_token() {
+    let sandbox = prepared();
+    let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json";
+    let coordinator = sandbox.serve("data", arguments);
+    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let port = pages.rsplit(':').next().unwrap();
+    let of =
+        |user: &str| String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap().trim().to_owned();
     let form = "content-type: application/x-www-form-urlencoded\r\n";
-    assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("root"))).0, 303);
-    assert_eq!(ask(&pages, "POST /login", form, format!("token={}", of("ada"))).0, 403);
-    assert_eq!(ask(&pages, "POST /login", form, "token=slt_1_2").0, 401);
+    let sent = |token: &str| ask_with_head(&pages, "POST /login", form, format!("token={token}"));
+    assert_eq!(sent(&of("ada")).0, 403);
+    assert_eq!(sent("slt_1_2").0, 401);
+    // A form longer than a token is not read.
+    assert_eq!(sent(&"x".repeat(5000)).0, 413);
+    // A login sets a cookie without the token, which stays with this port and this site.
+    let login = || {
+        let (code, head, _) = sent(&of("root"));
+        assert_eq!(code, 303);
+        let set = head.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap().to_owned();
+        assert!(!set.contains(of("root").rsplit('_').next().unwrap()), "{set}");
+        let (id, flags) = set.split_once("; ").unwrap();
+        assert_eq!(flags, "Path=/; HttpOnly; SameSite=Strict; Max-Age=43200");
+        assert!(id.starts_with(&format!("sightline-session-{port}=")), "{id}");
+        format!("cookie: other=1; {id}\r\n")
+    };
+    let [first, second] = [login(), login()];
+    assert_ne!(first, second);
+    let (code, head, page) = ask_with_head(&pages, "GET /", &first, "");
+    assert!(code == 200 && page.len() > 10_000);
+    assert!(head.contains("x-content-type-options: nosniff"), "{head}");
+    let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
+    assert!(policy.starts_with("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    let scene = format!("content-type: application/octet-stream\r\n{first}");
+    assert_eq!(ask(&pages, "POST /scenes?name=town.glb", &scene, sandbox.read("town.glb")).0, 200);
+    // Neither the token in a cookie nor another id opens a page.
+    let raw = format!("cookie: sightline-session-{port}={}\r\n", of("root"));
+    assert_eq!(ask(&pages, "GET /", &raw, "").0, 401);
+    assert_eq!(ask(&pages, "GET /", &first.replace("session-", "session-1"), "").0, 401);
+    // A logout ends one session, the end of the token ends the others.
+    let (code, head, _) = ask_with_head(&pages, "POST /logout", &first, "");
+    assert!(code == 303 && head.contains("Max-Age=0"), "{head}");
+    assert_eq!(ask(&pages, "GET /", &first, "").0, 401);
+    assert_eq!(ask(&pages, "GET /", &second, "").0, 200);
+    let listed = sandbox.ok("token list --tokens tokens.json");
+    let id = listed.lines().find(|line| line.contains("root")).and_then(|l| l.split_whitespace().next());
+    sandbox.ok(&format!("token revoke --tokens tokens.json {}", id.unwrap()));
+    wait_for("the end of the session", || (ask(&pages, "GET /", &second, "").0 == 401).then_some(()));
 }

@@ -223,7 +223,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     put_chunk(&dented).await;
     let unchecked = blake3::hash(&dented).as_bytes().to_vec();
     refused(submit(unchecked, &|_| ()).await, Code::InvalidArgument, "light 0 of the job");
-    refused(submit(digest.clone(), &|s| s.seed = 1).await, Code::InvalidArgument, "leave out");
+    refused(submit(digest.clone(), &|s| s.seed = Some(1)).await, Code::InvalidArgument, "leave out");
     refused(submit(digest.clone(), &|s| s.scene = vec![9; 32]).await, Code::NotFound, "scene");
     let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1)).encode().unwrap();
     let beyond = put(&beyond).await.unwrap().digest;

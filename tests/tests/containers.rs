@@ -78,7 +78,8 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     compose.up(2);
     let url = format!("http://127.0.0.1:{}", compose.port);
     let client = |args: &[&str]| run(Command::new(sightline).args(args).args(["--coordinator", &url]));
-    client(&["health"]);
+    // The engine accepts connections before the program in the container listens.
+    wait_until("the coordinator answers", || coordinator_answers(&url).then_some(()));
 
     let started = Instant::now();
     let mut submit = vec!["submit", scene.to_str().unwrap(), "--name", "town"];

@@ -149,7 +149,8 @@ fn workers_read_and_write_past_the_coordinator() {
             // Through the coordinator go messages alone, and what members of crews find.
             assert!(through[1] > 2 * scene && moved[1] < scene, "{moved:?} after {through:?}");
             // The store is read to check what was written there, and nothing of that is written again.
-            assert!(through[2] == 0 && moved[2] >= bytes, "{moved:?} after {through:?}");
+            // Besides, the coordinator may read the name of the store, which has 33 bytes, to compare it.
+            assert!([0, 33].contains(&through[2]) && moved[2] >= bytes, "{moved:?} after {through:?}");
             assert!(moved[3] < through[3] && through[3] - moved[3] <= bytes, "{moved:?} after {through:?}");
         }
         assert_eq!(
@@ -159,8 +160,8 @@ fn workers_read_and_write_past_the_coordinator() {
         assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total"), 0);
         finished(&coordinator, &sandbox, job, &workers);
         // Nothing is left of what the workers wrote beside the blobs.
-        wait_for("the scene and the result alone", || {
-            (server.objects(&format!("farm/{data}"), "").len() == 2).then_some(())
+        wait_for("the scene, the result and the name of the store alone", || {
+            (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(())
         });
         through = moved;
     }

@@ -1,6 +1,7 @@
-//! What earlier versions have written is read for ever: results, and the data directories of coordinators,
-//! in `tests/earlier/`. `SIGHTLINE_FREEZE=1 cargo test --workspace --test earlier` adds what this version
-//! writes; do that when a format gets something new. What is there is never changed.
+//! Results and data directories of earlier versions, in `tests/earlier/`, which this version reads.
+//! `SIGHTLINE_FREEZE=1 cargo test --workspace --test earlier` adds files of this version; do that when a
+//! format gets something new. From the first release on these files stay for ever. Until then a change of a
+//! format may replace them.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 

@@ -266,3 +266,13 @@ fn generated_scenes_depend_on_their_parameters_alone() {
         sandbox.ok("mesh first.glb -o mesh.ply");
     }
 }
+
+#[test]
+fn bake_refuses_scenes_that_no_tracer_supports() {
+    let sandbox = Sandbox::new();
+    let wide = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1e19 0 0\nf 1 2 3\nf 1 2 4\n";
+    sandbox.write("wide.obj", wide);
+    sandbox.run("bake wide.obj -o x.pvs").code(3).says("wide.obj: triangle 1, vertex 2").says("±1e9");
+    sandbox.write("tiny.obj", "v 0 0 0\nv 1e-12 0 0\nv 0 1e-12 0\nf 1 2 3\n");
+    sandbox.run("bake tiny.obj -o x.pvs --backend cpu").code(3).says("tiny.obj").says("1e-9");
+}

@@ -71,6 +71,23 @@ fn objects_and_clusters_are_those_of_the_exact_result() {
 }
 
 #[test]
+fn bake_of_objects_finds_small_ones() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate town --triangles 60000 -o town.glb");
+    let job = "bake town.glb --cells 4x4x1 --target-error 0.001 --backend cpu";
+    sandbox.ok(&format!("{job} -o triangles.pvs --data-dir t"));
+    sandbox.ok(&format!("{job} -o objects.pvs --data-dir o --granularity objects"));
+    let [triangles, objects] =
+        ["triangles", "objects"].map(|name| sets(&sandbox, &format!("{name}.pvs"), "objects"));
+    let count = |sets: &[BTreeSet<u64>]| sets.iter().map(BTreeSet::len).sum::<usize>();
+    let both: usize = objects.iter().zip(&triangles).map(|(o, t)| o.intersection(t).count()).sum();
+    let (objects, triangles) = (count(&objects), count(&triangles));
+    // Two seeds of the bake of triangles have 88 % in common.
+    assert!(triangles > 500 && both * 10 > triangles * 8, "{both} of {triangles}");
+    assert!(objects * 10 > triangles * 9, "{objects} instead of {triangles}");
+}
+
+#[test]
 fn items_of_the_least_share_are_missed_less_often_than_promised() {
     const SHARE: f64 = 0.005;
     let sandbox = town();

@@ -5,6 +5,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
+use serde_json::{Value, json};
 use sightline_tests::{Dump, Sandbox, assert_same};
 
 /// Faces of an OBJ file.
@@ -164,6 +165,102 @@ fn flags_go_before_the_file_and_results_name_them() {
     let line = "sightlines room.obj --queries q.jsonl --check";
     assert!(sandbox.ok(line).contains("\"visible\""));
     assert!(sandbox.ok(&format!("{line} --opaque")).contains("\"hidden\""));
+}
+
+/// Returns the JSON and the binary chunk of a GLB.
+fn parts(glb: &[u8]) -> (Value, Vec<u8>) {
+    let length = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
+    let end = 20 + length(12);
+    (serde_json::from_slice(&glb[20..end]).unwrap(), glb[end + 8..end + 8 + length(end)].to_vec())
+}
+
+/// Writes a GLB of JSON and a binary chunk, whose length is a multiple of four.
+fn glb(json: &Value, binary: &[u8]) -> Vec<u8> {
+    let mut text = json.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    let mut out = b"glTF\x02\0\0\0".to_vec();
+    out.extend((28 + text.len() as u32 + binary.len() as u32).to_le_bytes());
+    for (kind, chunk) in [(b"JSON", &text[..]), (b"BIN\0", binary)] {
+        out.extend((chunk.len() as u32).to_le_bytes());
+        out.extend(kind);
+        out.extend(chunk);
+    }
+    out
+}
+
+#[test]
+fn hidden_node_neither_shows_nor_blocks_in_any_method() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate town --triangles 2000 --seed 5 -o town.glb");
+    let (mut json, binary) = parts(&sandbox.read("town.glb"));
+    let nodes = json["nodes"].as_array_mut().unwrap();
+    let house = nodes.iter_mut().find(|n| n["name"] == "house 0").unwrap();
+    house["extensions"] = json!({"KHR_node_visibility": {"visible": false}});
+    for (list, name) in [("extensionsUsed", "used.glb"), ("extensionsRequired", "required.glb")] {
+        let mut json = json.clone();
+        json[list] = json!(["KHR_node_visibility"]);
+        sandbox.write(name, glb(&json, &binary));
+    }
+    let bake = |scene: &str, name: &str, flags: &str| {
+        let backend = if flags.contains("portals") { "" } else { "--backend cpu" };
+        let job = format!("--cells 2x1x2 {backend}");
+        let run = sandbox.run(&format!("bake {scene} -o {name}.pvs {job} {flags}")).code(0);
+        (sandbox.dump(&format!("{name}.pvs")), run.err)
+    };
+    let (plain, _) = bake("town.glb", "plain", "--method exact");
+    let info = sandbox.json("info plain.pvs");
+    let of =
+        |o: &Value| o["first"].as_u64().unwrap()..o["first"].as_u64().unwrap() + o["count"].as_u64().unwrap();
+    let objects = info["objects"].as_array().unwrap();
+    let ids = of(objects.iter().find(|o| o["name"].as_str().unwrap().starts_with("house 0/")).unwrap());
+    assert!(shown(&plain).iter().any(|set| set.range(ids.clone()).next().is_some()), "the house is seen");
+    let mut more = 0;
+    for (method, flags) in [
+        ("exact", "--method exact --certificates"),
+        ("lines", "--target-error 0.0001"),
+        ("cubes", "--sampler cubes --resolution 32"),
+        ("portals", "--method portals"),
+    ] {
+        let (hidden, said) = bake("used.glb", "hidden", flags);
+        assert!(said.contains(&format!("hidden: {} triangles", ids.end - ids.start)), "{said}");
+        assert!(!said.contains("the file uses the extension"), "{said}");
+        assert!(shown(&hidden).iter().all(|set| set.range(ids.clone()).next().is_none()), "{method}");
+        // As an object that neither blocks nor shows, by a flag.
+        let (moving, _) = bake("town.glb", "moving", &format!("{flags} --moving house?0"));
+        assert_eq!(shown(&hidden), shown(&moving), "{method}");
+        let (required, _) = bake("required.glb", "required", flags);
+        assert_eq!(shown(&hidden), shown(&required), "{method}");
+        if method == "exact" {
+            for (with, without) in shown(&plain).iter().zip(shown(&hidden)) {
+                let lost: Vec<_> = with.difference(&without).filter(|t| !ids.contains(t)).collect();
+                assert!(lost.is_empty(), "{lost:?} are hidden by a hidden node");
+                more += without.difference(with).count();
+            }
+            sandbox.ok("verify used.glb hidden.pvs");
+            let report = sandbox.json("measure used.glb hidden.pvs --viewpoints 8 --resolution 64");
+            assert_eq!(report["mean_error"], 0.0, "{report}");
+            let why = sandbox.ok(&format!("query hidden.pvs --cell 0 --why {} --scene used.glb", ids.start));
+            assert!(why.contains("in no set, because it is hidden"), "{why}");
+            // Ids and the list of objects stay.
+            assert_eq!(sandbox.json("info hidden.pvs")["objects"], info["objects"]);
+            sandbox.ok("export hidden.pvs --format gltf --scene used.glb -o seen.glb");
+            let (seen, _) = parts(&sandbox.read("seen.glb"));
+            assert_eq!(seen["nodes"], json["nodes"], "the file still hides the node");
+            let used = json!(["KHR_node_visibility", "SIGHTLINE_visibility"]);
+            assert_eq!(seen["extensionsUsed"], used);
+        } else if method == "lines" {
+            let report = sandbox.json("measure used.glb hidden.pvs --viewpoints 8 --resolution 64");
+            assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{report}");
+        }
+    }
+    assert!(more > 0, "the house hides something, so without it more is seen");
+    // From a point, too.
+    sandbox.ok("tetra used.glb -o used.tets");
+    let [x, y, z] = [0, 1, 2].map(|a| info["view_box"]["max"][a].as_f64().unwrap() / 2.0 + 0.013);
+    sandbox.write("p.jsonl", format!("{{\"id\":1,\"point\":[{x},{y},{z}]}}\n"));
+    let seen: Value = serde_json::from_str(sandbox.ok("look used.tets --points p.jsonl").trim()).unwrap();
+    let visible = seen["visible"].as_array().unwrap();
+    assert!(!visible.is_empty() && visible.iter().all(|t| !ids.contains(&t.as_u64().unwrap())), "{seen}");
 }
 
 #[test]

@@ -107,7 +107,7 @@ fn calls() -> Vec<String> {
 fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     use v1::worker_message::Message;
     let digest = spec.scene.clone();
-    let held = v1::Lease { job, tile: 3, epoch: 1, lease: 1 };
+    let held = v1::Lease { job, tile: 3, epoch: 1, lease: 1, tag: 7 };
     let lease = Some(held);
     let worker = |message| ("Workers/Work", v1::WorkerMessage { message: Some(message) }.encode_to_vec());
     let header = v1::ResultHeader { lease, digest: digest.clone(), bytes: 9, ..Default::default() };
@@ -123,6 +123,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         algorithm: sightline_model::ALGORITHM_VERSION,
         instance: 1,
         helps: true,
+        identity: vec![7; 24],
     };
     let submit = v1::SubmitRequest {
         request_id: "fuzz".to_owned(),
@@ -167,8 +168,14 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         ),
         (
             "Farm/Invalidate",
-            v1::InvalidateRequest { job, tiles: vec![0], worker: "fuzz".to_owned(), from_ms: 1, to_ms: 2 }
-                .encode_to_vec(),
+            v1::InvalidateRequest {
+                job: Some(job),
+                tiles: vec![0],
+                worker: "fuzz".to_owned(),
+                from_ms: Some(1),
+                to_ms: Some(2),
+            }
+            .encode_to_vec(),
         ),
         ("Farm/ReleaseWorker", v1::ReleaseWorkerRequest { worker: "fuzz".to_owned() }.encode_to_vec()),
         ("Farm/ListTiles", v1::ListTilesRequest { job, first: 0, limit: 5, states: vec![1] }.encode_to_vec()),

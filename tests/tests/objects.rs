@@ -61,8 +61,8 @@ fn a_bucket_gives_the_bytes_of_a_directory() {
         let workers = [coordinator.worker(), coordinator.worker()];
         finished(&coordinator, &sandbox, job, &format!("with a cache of {cache}"));
         assert_eq!(sandbox.files_below(&format!("{data}/blobs")), 0, "a directory was used");
-        wait_for("the scene and the result alone", || {
-            (server.objects(&format!("farm/{data}"), "").len() == 2).then_some(())
+        wait_for("the scene, the result and the name of the store alone", || {
+            (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(())
         });
         let copies = sandbox.files_below(&format!("{data}/copies"));
         assert!(match data {
@@ -83,7 +83,8 @@ fn a_directory_can_be_named() {
     let job = coordinator.submit(JOB);
     let _worker = coordinator.worker();
     finished(&coordinator, &sandbox, job, "in a directory with a name");
-    wait_for("the scene and the result alone", || (sandbox.files_below("elsewhere") == 2).then_some(()));
+    // The third is the identity of the store.
+    wait_for("the scene and the result only", || (sandbox.files_below("elsewhere") == 3).then_some(()));
     assert_eq!(sandbox.files_below("data/blobs"), 0);
 }
 

@@ -82,6 +82,56 @@ fn objects_are_those_of_the_visible_triangles() {
 }
 
 #[test]
+fn object_with_witness_is_visible() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate rooms --triangles 300 -o rooms.glb");
+    sandbox.ok("bake rooms.glb --cells 2x1x2 --method portals --data-dir data -o rooms.pvs");
+    let objects = sandbox.json("info rooms.pvs")["objects"].clone();
+    let of = |triangle: u64| {
+        let holds = |o: &Value| {
+            let first = o["first"].as_u64().unwrap();
+            (first..first + o["count"].as_u64().unwrap()).contains(&triangle)
+        };
+        objects.as_array().unwrap().iter().position(holds).unwrap() as u64
+    };
+    let by_objects = Dump::parse(&sandbox.ok("dump rooms.pvs --items objects"));
+    let mut mixed = 0;
+    for (cell, listed) in sandbox.dump("rooms.pvs").cells.iter().zip(&by_objects.cells) {
+        let drawn: BTreeSet<u64> = cell.visible.iter().map(|id| of(*id)).collect();
+        let known = cell.visible.iter().filter(|id| !cell.undecided.contains(id));
+        let seen: BTreeSet<u64> = known.map(|id| of(*id)).collect();
+        let open: BTreeSet<u64> = cell.undecided.iter().map(|id| of(*id)).collect();
+        mixed += open.intersection(&seen).count();
+        let undecided: Vec<u64> = open.difference(&seen).copied().collect();
+        assert_eq!(listed.visible, drawn.into_iter().collect::<Vec<_>>());
+        assert_eq!(listed.undecided, undecided);
+        let [x, y, z] = cell.middle();
+        let answer = sandbox.json(&format!("query rooms.pvs {x} {y} {z} --items objects"));
+        assert_eq!((ids(&answer["visible"]), ids(&answer["undecided"])), (listed.visible.clone(), undecided));
+    }
+    assert!(mixed > 0, "no object has both a witness and an undecided triangle");
+}
+
+#[test]
+fn smallest_thresholds_reach_result() {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate maze --grid 3x3 -o maze.glb");
+    let bake = |options: &str| {
+        let cubes = "--sampler cubes --cells 1x1x1 --view-box 0,0,0,4,4,4 --resolution 16 --backend cpu";
+        sandbox.ok(&format!("bake maze.glb {cubes} {options} --data-dir data -o cubes.pvs"));
+        sandbox.json("info cubes.pvs")["info"].clone()
+    };
+    let info = bake("--error-threshold 0 --interior-threshold 0");
+    assert_eq!(
+        (&info["sampling"]["error_threshold"], &info["sampling"]["interior_threshold"]),
+        (&0.0.into(), &0.0.into())
+    );
+    // Every face of the cell is split into 4x4 squares, whose corners are cubes. Faces are separate tiles.
+    let info = bake("--error-measure uniform --min-distance 0.25");
+    assert_eq!(info["samples"], 6 * 5 * 5, "{info}");
+}
+
+#[test]
 fn a_point_outside_the_view_box_has_no_answer() {
     let sandbox = baked();
     for point in ["0 0 1e6", "-1e6 1 1", "1 nan 1", "inf 1 1"] {

@@ -155,7 +155,7 @@ async fn what_was_refused_without_a_connection_is_not_claimed() {
     let two = FromWorker::Want(v1::Want { tiles: 2 });
     first.say(welcome()).await;
     assert_eq!(first.hear().await, two);
-    let lease = |tile| Some(v1::Lease { job: 1, tile, epoch: 1, lease: u64::from(tile) + 1 });
+    let lease = |tile| Some(v1::Lease { job: 1, tile, epoch: 1, lease: u64::from(tile) + 1, tag: 5 });
     let profile = hello.profiles[0].clone();
     let grant = v1::Grant { lease: lease(0), spec: Some(spec), profile, ..v1::Grant::default() };
     first.say(FromCoordinator::Grant(grant)).await;

@@ -85,7 +85,7 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
         if Instant::now() > until {
             return;
         }
-        let spec = v1::JobSpec { seed: 1 + own + round * CLIENTS, ..spec.clone() };
+        let spec = v1::JobSpec { seed: Some(1 + own + round * CLIENTS), ..spec.clone() };
         let name = format!("client {own}, round {round}");
         let submit = v1::SubmitRequest { spec: Some(spec), name, ..Default::default() };
         let id = client.submit(submit).await.unwrap().into_inner().job.unwrap().id;

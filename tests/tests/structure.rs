@@ -301,3 +301,28 @@ fn a_circle_is_found_and_a_re_export_is_none() {
     write("b.rs", "pub struct B;\n#[cfg(test)]\nmod tests { use crate::a::A; }\n");
     assert!(circles(dir.path()).is_empty());
 }
+
+/// A check that cannot run is a failure if `CI` is set. Machines of continuous integration need not set it.
+#[test]
+fn ci_program_sets_ci() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &[u8]| {
+        let path = dir.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, text).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        path
+    };
+    let program = write(".ci/run", &std::fs::read(root().join(".ci/run")).unwrap());
+    write("scripts/test.sh", b"#!/bin/sh\nprintf %s \"$CI\"\n");
+    for before in [None, Some(""), Some("false")] {
+        let mut command = Command::new(&program);
+        match before {
+            Some(value) => command.env("CI", value),
+            None => command.env_remove("CI"),
+        };
+        let out = command.output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&out.stdout), "true", "with CI={before:?} before");
+    }
+}

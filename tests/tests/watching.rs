@@ -95,6 +95,9 @@ fn a_store_is_verified_moved_and_compacted() {
         assert_same(&coordinator.finish(job), &bytes, "computed again");
         coordinator.run("invalidate").code(2);
         coordinator.run("invalidate 77").code(4).says("job 77 is not known");
+        // 0 is the number of no job, and does not stand for all of them.
+        coordinator.run("invalidate 0 --worker any").code(4).says("job 0 is not known");
+        coordinator.run("logs 0").code(4).says("job 0 is not known");
         coordinator.run("workers --release nobody").code(3).says("no worker named nobody is quarantined");
         bytes
     };
@@ -153,7 +156,9 @@ fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
         let job = coordinator.submit(JOB);
         coordinator.until(job, "a tile", |now| now["tiles_done"].as_u64() > Some(0));
         std::fs::create_dir_all(backup.join("state")).unwrap();
-        std::fs::copy(sandbox.path("data/state/journal"), backup.join("state/journal")).unwrap();
+        for name in ["journal.mark", "journal"] {
+            std::fs::copy(sandbox.path("data/state").join(name), backup.join("state").join(name)).unwrap();
+        }
         // The job may end now, which removes outputs that the copied journal names.
         coordinator.finish(job);
         copy(&sandbox.path("data/blobs"), &backup.join("blobs"));

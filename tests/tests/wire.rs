@@ -23,6 +23,16 @@ fn scene_of(digest: &[u8]) -> v1::FetchSceneRequest {
     v1::FetchSceneRequest { digest: digest.to_vec(), ..Default::default() }
 }
 
+/// Returns the introduction of a worker that lies.
+fn liar(profiles: &[String]) -> v1::Hello {
+    v1::Hello {
+        name: "liar".to_owned(),
+        profiles: profiles.to_vec(),
+        algorithm: sightline_model::ALGORITHM_VERSION,
+        ..Default::default()
+    }
+}
+
 fn pack_of(digest: &[u8]) -> v1::FetchPackRequest {
     v1::FetchPackRequest { digest: digest.to_vec(), ..Default::default() }
 }
@@ -120,13 +130,13 @@ async fn requests_are_refused_with_the_right_code() {
     // Without a name of its own a request is known by its job.
     assert!(submit("", &|_| {}).await.unwrap().into_inner().existing);
     refused(submit(&"long".repeat(100), &|_| {}).await, Code::InvalidArgument);
-    refused(submit("good", &|s| s.seed = 1).await, Code::InvalidArgument);
+    refused(submit("good", &|s| s.seed = Some(1)).await, Code::InvalidArgument);
     refused(submit("a", &|s| s.scene = vec![9; 32]).await, Code::NotFound);
     refused(submit("b", &|s| s.scene = vec![9; 5]).await, Code::InvalidArgument);
     refused(submit("d", &|s| s.view_box.truncate(5)).await, Code::InvalidArgument);
     refused(submit("e", &|s| s.view_box[3] = f32::NAN).await, Code::InvalidArgument);
-    refused(submit("g", &|s| s.sampling.as_mut().unwrap().resolution = 1).await, Code::InvalidArgument);
-    let grid = |n| Some(v1::job_spec::Division::Grid(v1::Grid { x: n, y: n, z: n }));
+    refused(submit("g", &|s| s.sampling.as_mut().unwrap().resolution = Some(1)).await, Code::InvalidArgument);
+    let grid = |n| Some(v1::job_spec::Division::Grid(v1::Grid { x: Some(n), y: Some(n), z: Some(n) }));
     for n in [0, 1 << 14, u32::MAX] {
         refused(submit("h", &|s| s.division = grid(n)).await, Code::InvalidArgument);
     }
@@ -142,7 +152,7 @@ async fn requests_are_refused_with_the_right_code() {
     let culled = jobs.clone().show(v1::ShowRequest { job: culled }).await.unwrap().into_inner().spec.unwrap();
     assert_ne!(culled.scene, spec.scene);
     let exact = |s: &mut v1::JobSpec| {
-        (s.scene, s.method) = (culled.scene.clone(), v1::Method::Exact as i32);
+        (s.scene, s.method) = (culled.scene.clone(), Some(v1::Method::Exact as i32));
     };
     assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("culled"));
     // An empty view box stands for the scene's bounds, as on the command line.
@@ -160,13 +170,14 @@ async fn requests_are_refused_with_the_right_code() {
         })
     };
     let body = || part(v1::result_part::Part::Chunk(chunk(b"x")));
-    let lease = |job| Some(v1::Lease { job, tile: 0, epoch: 1, lease: 1 });
+    let lease = |job| Some(v1::Lease { job, tile: 0, epoch: 1, lease: 1, tag: 0 });
     let mut put = async |parts: Vec<v1::ResultPart>| workers.put_result(tokio_stream::iter(parts)).await;
     refused(put(vec![]).await, Code::InvalidArgument);
     refused(put(vec![body()]).await, Code::InvalidArgument);
     refused(put(vec![part(header(None)), body()]).await, Code::InvalidArgument);
-    refused(put(vec![part(header(lease(good)))]).await, Code::DataLoss);
-    refused(put(vec![part(header(lease(good))), body()]).await, Code::InvalidArgument);
+    // Whatever follows, the lease is checked first.
+    refused(put(vec![part(header(lease(good)))]).await, Code::FailedPrecondition);
+    refused(put(vec![part(header(lease(good))), body()]).await, Code::FailedPrecondition);
     refused(put(vec![part(header(lease(4711))), body()]).await, Code::FailedPrecondition);
 
     // A worker that does not introduce itself properly.
@@ -238,7 +249,34 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     sandbox.ok(SCENE);
     sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
+    let honest = coordinator.worker();
+    let profiles = sightline_tests::wait_for("a worker", || {
+        let listed = coordinator.json("workers");
+        let profiles = listed[0]["profiles"].as_array()?.iter();
+        Some(profiles.map(|profile| profile.as_str().unwrap().to_owned()).collect::<Vec<_>>())
+    });
+    honest.kill();
     let job = coordinator.submit(JOB);
+    // The liar gets the first tiles and gives them back. Its leases stay given.
+    let mut olds = Vec::new();
+    {
+        let mut workers = WorkersClient::new(connect(&coordinator).await);
+        let (say, said) = tokio::sync::mpsc::channel(16);
+        let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+        send(v1::worker_message::Message::Hello(liar(&profiles))).await;
+        let said = tokio_stream::wrappers::ReceiverStream::new(said);
+        let mut heard = workers.work(said).await.unwrap().into_inner();
+        send(v1::worker_message::Message::Want(v1::Want { tiles: 2 })).await;
+        while olds.len() < 2 {
+            let message = heard.next().await.unwrap().unwrap().message.unwrap();
+            if let v1::coordinator_message::Message::Grant(grant) = message {
+                olds.push(grant.lease.unwrap());
+            }
+        }
+        send(v1::worker_message::Message::Draining(v1::Draining {})).await;
+        drop(say);
+        while heard.next().await.is_some() {}
+    }
     let honest = coordinator.worker();
     coordinator.until(job, "some tiles done", |job| job["tiles_done"].as_u64().unwrap() >= 10);
     coordinator.ok(&format!("pause {job}"));
@@ -253,14 +291,7 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     let mut workers = WorkersClient::new(connect(&coordinator).await);
     let (say, said) = tokio::sync::mpsc::channel(16);
     let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
-    let profiles = vec![shown["profile"].as_str().unwrap().to_owned()];
-    send(Said::Hello(v1::Hello {
-        name: "liar".to_owned(),
-        profiles,
-        algorithm: sightline_model::ALGORITHM_VERSION,
-        ..Default::default()
-    }))
-    .await;
+    send(Said::Hello(liar(&profiles))).await;
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
     let mut heard = workers.work(said).await.unwrap().into_inner();
     let mut leases = 0;
@@ -280,17 +311,19 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     let (_, plan) =
         sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
     let lease = grant.lease.unwrap();
-    let finished = plan.tiles[lease.tile as usize].needs[0];
-    let mut stream = workers.fetch_pack(pack_of(&grant.packs[0])).await.unwrap().into_inner();
+    let needs = &plan.tiles[lease.tile as usize].needs;
+    let known = |tile: &u32| olds.iter().find(|old| old.tile == *tile).copied();
+    let (at, finished) = needs.iter().map(known).enumerate().find_map(|(at, old)| Some((at, old?))).unwrap();
+    let mut stream = workers.fetch_pack(pack_of(&grant.packs[at])).await.unwrap().into_inner();
     let mut genuine = Vec::new();
     while let Some(chunk) = stream.next().await {
         genuine.extend(chunk.unwrap().data);
     }
-    assert_eq!(blake3::hash(&genuine).as_bytes().as_slice(), grant.packs[0]);
+    assert_eq!(blake3::hash(&genuine).as_bytes().as_slice(), grant.packs[at]);
 
-    let mut put = async |tile, bytes: &[u8], announced: &[u8]| {
+    let mut put = async |lease, bytes: &[u8], announced: &[u8]| {
         let header = v1::ResultHeader {
-            lease: Some(v1::Lease { tile, ..lease }),
+            lease: Some(lease),
             digest: blake3::hash(announced).as_bytes().to_vec(),
             bytes: bytes.len() as u64,
             ..Default::default()
@@ -306,15 +339,25 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     refused(put(finished, empty, empty).await, Code::Aborted);
     // The same result again is accepted.
     put(finished, &genuine, &genuine).await.unwrap();
-    for tile in [finished, lease.tile] {
-        refused(put(tile, b"garbage", b"garbage").await, Code::InvalidArgument);
-        refused(put(tile, b"", b"").await, Code::InvalidArgument);
-        refused(put(tile, &genuine[..genuine.len() - 5], &genuine).await, Code::DataLoss);
+    for lease in [finished, lease] {
+        refused(put(lease, b"garbage", b"garbage").await, Code::InvalidArgument);
+        refused(put(lease, b"", b"").await, Code::InvalidArgument);
+        refused(put(lease, &genuine[..genuine.len() - 5], &genuine).await, Code::DataLoss);
     }
-    refused(put(u32::MAX, empty, empty).await, Code::InvalidArgument);
+    // The lease of one tile is not valid for another tile, and a client cannot forge a lease.
+    for forged in [
+        v1::Lease { tile: finished.tile, ..lease },
+        v1::Lease { tile: u32::MAX, ..lease },
+        v1::Lease { epoch: 0, lease: 0, ..lease },
+        v1::Lease { tag: 0, ..lease },
+    ] {
+        let status = put(forged, empty, empty).await.unwrap_err();
+        assert_eq!(status.code(), Code::FailedPrecondition, "{status}");
+        assert!(status.message().contains(&format!("lease {} of epoch", forged.lease)), "{status}");
+    }
     if plan.tiles[lease.tile as usize].kind == sightline_viewcells::TileKind::Leaf {
         // Samples in place of cells.
-        refused(put(lease.tile, empty, empty).await, Code::InvalidArgument);
+        refused(put(lease, empty, empty).await, Code::InvalidArgument);
     }
     assert!(coordinator.process.err().contains("TWO RESULTS"), "{}", coordinator.process.err());
 

@@ -1,6 +1,6 @@
 //! Workers that compute nothing: they take tiles and send outputs of random sets as fast as they can.
 
-#![allow(clippy::unwrap_used, reason = "a helper of tests")]
+#![allow(clippy::unwrap_used, dead_code, reason = "helpers of tests, each of which uses a part")]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -48,6 +48,11 @@ fn output(work: &Work, lease: &v1::Lease) -> Vec<u8> {
 /// Takes and commits tiles of one cell until the work is over, or the coordinator ends the stream. A job may
 /// be cancelled or deleted while its tile is here; any other refusal is a failure.
 pub async fn work(url: &str, name: &str, work: &Work) {
+    work_with(url, (name, 0), work, &|_| ()).await;
+}
+
+/// Does the work of [`work`] as a worker with an instance. `before` runs before each tile, with its number.
+pub async fn work_with(url: &str, (name, instance): (&str, u64), work: &Work, before: &(dyn Fn(u32) + Sync)) {
     let channel = tonic::transport::Channel::from_shared(url.to_owned()).unwrap().connect().await.unwrap();
     let mut client = WorkersClient::new(channel);
     let (say, said) = tokio::sync::mpsc::channel(16);
@@ -56,6 +61,7 @@ pub async fn work(url: &str, name: &str, work: &Work) {
         name: name.to_owned(),
         profiles: vec!["cpu/load".to_owned()],
         algorithm: sightline_model::ALGORITHM_VERSION,
+        instance,
         ..Default::default()
     };
     send(Said::Hello(hello)).await.unwrap();
@@ -67,6 +73,7 @@ pub async fn work(url: &str, name: &str, work: &Work) {
             Heard::Welcome(_) => {}
             Heard::Grant(grant) => {
                 let lease = grant.lease.unwrap();
+                before(lease.tile);
                 let bytes = output(work, &lease);
                 let header = v1::ResultHeader {
                     lease: Some(lease),

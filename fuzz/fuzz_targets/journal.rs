@@ -1,0 +1,9 @@
+//! Arbitrary bytes as the files of a journal, which is opened and continued: `cargo +nightly fuzz run
+//! journal` in `fuzz/`. A crash found becomes a test in `coordinator/src/store/journal_tests.rs`.
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
+    let folder = std::env::temp_dir().join(format!("sightline-fuzz-{}", std::process::id()));
+    let _ = std::fs::create_dir_all(&folder);
+    sightline_coordinator::fuzzing::journal(&folder, bytes);
+});

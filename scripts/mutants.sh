@@ -1,0 +1,193 @@
+#!/usr/bin/env bash
+# Mutation testing: which changes of the code would no test notice?
+#
+#   scripts/mutants.sh [--seed N] [--sample N] [--list] AREA…
+#
+# An AREA is `filters` (every mutant of the exact filters), `store`, `access`, `results` or `scheduler` (a sample of the
+# mutants of that part of the coordinator), or `all`. --sample is the size of each sample (default: 40), --seed selects
+# another one (default: 1). --list prints the mutants and runs nothing. Each mutant costs a build and the tests of its
+# crate, so `all` takes hours on two cores.
+#
+# cargo-mutants changes the committed files in a worktree below target/mutants, one mutant at a time, and runs unit tests,
+# without optimisation: those of the area first, and all of the crate for mutants that survive them. The reports are in target/mutants/AREA. The script prints the survivors and
+# fails if fewer than 90 % of the mutants of an area were killed. scripts/mutants.toml lists the mutants that are equivalent
+# to the code, with reasons; they are not run.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+# Another version makes other mutants, and so other samples.
+mutants_version=27.1.0
+least_percent=90
+
+die() { printf 'mutants: %s\n' "$*" >&2; exit 1; }
+
+seed=1 sample=40 list=
+while [ $# -gt 0 ]; do
+  case $1 in
+    --seed) seed=${2:?--seed needs a number}; shift 2 ;;
+    --sample) sample=${2:?--sample needs a number}; shift 2 ;;
+    --list) list=yes; shift ;;
+    -*) die "unknown option $1; see the head of this script" ;;
+    *) break ;;
+  esac
+done
+[ $# -gt 0 ] || die 'name an area: filters, store, access, results, scheduler or all'
+[ "$*" != all ] || set -- filters store access results scheduler
+
+# The exact filters: crate, file, and the tests that run. Without a filter of tests most of the time would go to
+# searches through line space.
+filters() {
+  cat <<'END'
+sightline-scene crates/scene/src/exact.rs exact::
+sightline-exact crates/exact/src/surfaces/crossing_order.rs surfaces::crossing_order::
+sightline-exact crates/exact/src/geometry/predicates.rs geometry::predicates::
+sightline-exact crates/exact/src/arithmetic/double_double.rs arithmetic::
+sightline-exact crates/exact/src/line_space/space/rounded.rs line_space::space::
+sightline-tetra crates/tetra/src/delaunay/predicates.rs delaunay::predicates::
+sightline-tetra crates/tetra/src/look/rounded.rs look::rounded::
+END
+}
+
+tools=$PWD/target/tools
+if ! command -v cargo-mutants >/dev/null; then
+  PATH=$tools/bin:$PATH
+fi
+if [ "$(cargo mutants --version 2>/dev/null)" != "cargo-mutants $mutants_version" ]; then
+  # Built without optimisation: it is ready several times sooner, and the builds of mutants take all the time.
+  CARGO_PROFILE_RELEASE_OPT_LEVEL=0 CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16 \
+    cargo install --quiet --locked --root "$tools" --target-dir target/tools/build --version "$mutants_version" cargo-mutants
+  PATH=$tools/bin:$PATH
+fi
+
+out=$PWD/target/mutants
+tree=$out/tree
+mkdir -p "$out"
+git worktree remove --force "$tree" 2>/dev/null || rm -rf "$tree"
+git worktree prune
+git worktree add --quiet --detach "$tree" HEAD
+trap 'git worktree remove --force "$tree"' EXIT
+config=$PWD/scripts/mutants.toml
+export CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-$out/build}
+# Dependencies stay as they are. One mutant changes one function, so incremental builds without debug information are
+# fastest.
+export CARGO_PROFILE_DEV_OPT_LEVEL=0 CARGO_PROFILE_DEV_DEBUG=false CARGO_INCREMENTAL=1
+export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-${TMPDIR:-/tmp}}
+
+# names CRATE FILE: the names of the mutants, one a line.
+names() { (cd "$tree" && cargo mutants --config "$config" --package "$1" --list --file "$2"); }
+
+# drawn CRATE FILE: the names of a sample, always the same for a seed.
+drawn() {
+  names "$@" | python3 -c '
+import collections, hashlib, re, sys
+seed, size = sys.argv[1], int(sys.argv[2])
+# Line numbers do not count, so that an edit elsewhere does not change the sample.
+seen, keyed = collections.Counter(), []
+for line in sys.stdin.read().splitlines():
+    bare = re.sub(r":[0-9]+:[0-9]+: ", ": ", line)
+    seen[bare] += 1
+    keyed.append((hashlib.sha256(f"{seed}|{bare}|{seen[bare]}".encode()).digest(), line))
+print("\n".join(line for _, line in sorted(keyed)[:size]))' "$seed" "$sample"
+}
+
+# matching: turns names of mutants, one a line, into arguments that select them.
+matching() {
+  arguments=()
+  local mutant
+  while read -r mutant; do
+    arguments+=(--re "^$(printf '%s' "$mutant" | sed 's/[][\.*^$+?(){}|/]/\\&/g')\$")
+  done
+}
+
+# missed AREA: prints the survivors of the last pass.
+missed() {
+  python3 - "$out/$1/1/mutants.out/outcomes.json" <<'END'
+import json, sys
+for outcome in json.load(open(sys.argv[1]))["outcomes"]:
+    if outcome["summary"] == "MissedMutant":
+        print(outcome["scenario"]["Mutant"]["name"])
+END
+}
+
+# test_mutants OUT CRATE TESTS ARGUMENTS…: runs the selected mutants against the unit tests whose names contain one of
+# TESTS.
+test_mutants() {
+  local to=$1 crate=$2 tests=$3 status=0
+  shift 3
+  mkdir -p "$to"
+  # 2 means survivors and 3 timeouts; the summary below is about these.
+  (cd "$tree" && cargo mutants --config "$config" --package "$crate" --in-place --no-times --colors never \
+    --minimum-test-timeout 60 --output "$to" "$@" -- --lib -- $tests) || status=$?
+  case $status in 0 | 2 | 3) ;; *) die "cargo mutants ended with status $status for $crate" ;; esac
+}
+
+# summary AREA: prints the survivors and fails if too many mutants survived.
+summary() {
+  python3 - "$1" "$least_percent" "$out/$1"/*/mutants.out/outcomes.json <<'END'
+import json, sys
+area, least, files = sys.argv[1], float(sys.argv[2]), sys.argv[3:]
+# A later pass decides about the survivors of an earlier one.
+kinds = {}
+for file in files:
+    for outcome in json.load(open(file))["outcomes"]:
+        if outcome["scenario"] != "Baseline":
+            kinds[outcome["scenario"]["Mutant"]["name"]] = outcome["summary"]
+count = {kind: list(kinds.values()).count(kind) for kind in set(kinds.values())}
+survivors = [name for name, kind in kinds.items() if kind == "MissedMutant"]
+killed = count.get("CaughtMutant", 0) + count.get("Timeout", 0)
+total = killed + len(survivors)
+for name in survivors:
+    print(f"survivor: {name}")
+percent = 100 * killed / total if total else 100
+print(f"{area}: {killed} of {total} mutants killed ({percent:.1f} %), "
+      f"{count.get('Unviable', 0)} more do not compile")
+sys.exit(percent < least)
+END
+}
+
+failed=0
+for area; do
+  rm -rf "${out:?}/$area"
+  case $area in
+    filters)
+      if [ -n "$list" ]; then
+        filters | while read -r crate file _; do names "$crate" "$file"; done
+        continue
+      fi
+      part=0
+      while read -r crate file tests; do
+        part=$((part + 1))
+        test_mutants "$out/$area/$part" "$crate" "$tests" --file "$file"
+      done < <(filters)
+      ;;
+    store | access | results | scheduler)
+      case $area in
+        results) files='coordinator/src/results.rs' ;;
+        *) files="coordinator/src/$area/**/*.rs" ;;
+      esac
+      mapfile -t mutants < <(drawn sightline-coordinator "$files")
+      [ ${#mutants[@]} -gt 0 ] || die "no mutants in $files"
+      if [ -n "$list" ]; then
+        printf '%s\n' "${mutants[@]}"
+        continue
+      fi
+      case $area in
+        store) tests='store::' ;;
+        access) tests='access:: services::' ;;
+        results) tests='results:: services:: trust_tests:: reopening_tests:: staged_tests:: ambient_tests::' ;;
+        scheduler) tests='scheduler::' ;;
+      esac
+      matching < <(printf '%s\n' "${mutants[@]}")
+      # Mutants that delete a field are not filtered by --re, so those of the area join its sample.
+      test_mutants "$out/$area/1" sightline-coordinator "$tests" --file "$files" "${arguments[@]}"
+      mapfile -t mutants < <(missed "$area")
+      if [ ${#mutants[@]} -gt 0 ]; then
+        matching < <(printf '%s\n' "${mutants[@]}")
+        test_mutants "$out/$area/2" sightline-coordinator '' --file "$files" "${arguments[@]}"
+      fi
+      ;;
+    *) die "unknown area $area; use filters, store, access, results, scheduler or all" ;;
+  esac
+  summary "$area" || failed=1
+done
+exit "$failed"
