@@ -142,7 +142,7 @@ impl Job<'_> {
         let tools = Tools {
             scene: lines.scene,
             surface: lines.surface,
-            rows: self.scene.rows(Granularity::Triangles),
+            rows: self.scene.fine_rows(Granularity::Triangles),
             sight,
             seed: self.seed,
             watcher: rays,
@@ -241,7 +241,7 @@ impl Job<'_> {
         let all = self.plan(u32::MAX);
         let (_, whole) = self.grid(all.first().ok_or("there are no cells")?);
         let map = Map::new(&whole, &grids)?;
-        let rows = self.scene.rows(Granularity::Triangles).count();
+        let rows = self.scene.fine_rows(Granularity::Triangles).count();
         let tiles = if rounds.is_some() { &parts } else { &all };
         let exchange = Exchange::new(whole, map, rows, tiles.len(), counts);
         let rays = Rays::default();

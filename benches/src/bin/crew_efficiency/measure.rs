@@ -66,7 +66,7 @@ pub fn measure(path: &Path, wanted: &Wanted) -> Result<Trace, AnyError> {
         let prepared = BakeScene::new(Arc::clone(&scene))?;
         let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
         prepared.sampling().for_lines();
-        prepared.sampling().rows(spec.sampling.granularity);
+        prepared.sampling().fine_rows(spec.sampling.granularity);
         Sight::new(&backend, prepared.sampling().traced())?;
         Ok((prepared, backend))
     });
