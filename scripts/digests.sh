@@ -56,7 +56,7 @@ bake triangles lines-seed rooms "${cpu[@]}" --cells 4x4x4 --target-error 0.003 -
 bake triangles lines-blocks rooms "${cpu[@]}" --cells 4x4x4 --target-error 0.003 --block-cells 8
 bake triangles lines-town town "${cpu[@]}" --cells 6x4x6 --target-error 0.003
 bake triangles lines-bound rooms "${cpu[@]}" --cells 3x3x3 --max-error 0.01
-bake $sets lines-walls rooms "${cpu[@]}" --cells walls:20 --target-error 0.01
+bake triangles,objects lines-walls rooms "${cpu[@]}" --cells walls:20 --target-error 0.01
 bake triangles lines-tree rooms "${cpu[@]}" --triangle-budget 300 --max-depth 9
 bake triangles lines-far rooms "${cpu[@]}" --cells 3x3x3 --target-error 0.01 --far 2
 bake contributions lines-contributions rooms "${cpu[@]}" --cells 3x2x3 --target-error 0.01 --contributions
