@@ -26,8 +26,8 @@ pub(crate) fn reading(c: &Coordinator, digest: &Digest, bytes: u64) -> Option<Ad
     }
 }
 
-/// Where the holder of a lease writes its output of at most `most` bytes; `None` where that goes through the
-/// coordinator.
+/// Returns the address to which the holder of a lease writes an output of at most `most` bytes; `None` if the
+/// output goes through the coordinator.
 ///
 /// # Errors
 /// When the store has no keys to sign with.

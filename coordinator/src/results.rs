@@ -198,7 +198,7 @@ fn most_packed(c: &Coordinator, work: &Work, lease: Lease) -> Result<u64, Result
     Ok(packed(unpacked))
 }
 
-/// Returns the maximum length of an output that unpacks to so many bytes.
+/// Returns the maximum packed length of an output, by its unpacked length, in bytes.
 fn packed(unpacked: u64) -> u64 {
     unpacked.saturating_add(unpacked / 64).saturating_add(LEAST_UNPACKED).min(codec::MAX_UNPACKED)
 }

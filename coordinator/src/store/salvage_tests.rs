@@ -176,10 +176,9 @@ fn repair_uses_readable_frames_beside_bad_sector() {
 }
 
 #[test]
-fn unreadable_watermark_counts_as_missing() {
+fn unreadable_slot_of_watermark_counts_as_damaged() {
     let files = acknowledged();
     let disk = disk_of(&files.journal, &files.mark);
-    disk.spoil(&watermark::path_of(&path()), 0);
     disk.spoil(&watermark::path_of(&path()), 600);
     assert!(Journal::open(&disk, &path(), Some(files.view.0)).is_ok());
     let part = read(&disk, &path(), None).unwrap();

@@ -2,7 +2,7 @@
 //!
 //! A [`Builder`] takes the tree and then the sets of the cells in order, and writes one file. A [`Pvs`] opens
 //! a file, checks every byte of it, finds the cell of a point and decodes the cell's set. This
-//! crate computes no visibility, knows no scene format and depends on no other crate of the workspace, so
+//! crate computes no visibility, reads no scene format and depends on no other crate of the workspace, so
 //! that an engine needs no other one.
 //!
 //! The file has these parts; all numbers are little-endian, and [`layout`] gives the bytes:
