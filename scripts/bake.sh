@@ -41,7 +41,7 @@ cd "$(dirname "$0")/.."
 ./scripts/setup.sh --for run
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
-say 'building (ten to fifteen minutes the first time, on two cores)'
+say 'building (about a quarter of an hour the first time, on two cores)'
 cargo build --release --locked
 sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
 

@@ -50,7 +50,7 @@ command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
 # Programs that are built already may be named: SIGHTLINE_BIN, and SIGHTLINE_EXAMPLES, the folder with cells and pairs.
 if [ -z "${SIGHTLINE_BIN:-}" ]; then
-  say 'building (ten to fifteen minutes the first time, on two cores)'
+  say 'building (about a quarter of an hour the first time, on two cores)'
   cargo build --release --locked
   SIGHTLINE_BIN=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
 fi
