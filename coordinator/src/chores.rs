@@ -83,13 +83,13 @@ fn outcome(
             // What the tile failed on may be in them.
             c.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
-            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, died: false }))
+            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, dead: None }))
         }
         // The next leader continues with the outcomes of a dead one.
         Command::CountDeath { job, tile, worker, reason } => {
             let on = c.store.count_death(*job, *tile, worker, reason)?;
-            let reason = reason.clone();
-            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, died: true }))
+            let (reason, dead) = (reason.clone(), Some(worker.clone()));
+            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, dead }))
         }
         Command::CancelDeath { job, tile, worker, reason } => {
             c.store.forget_failure(*job, *tile, worker, reason)?;

@@ -14,7 +14,7 @@ use std::collections::BTreeSet;
 use sightline_numbers::random::SplitMix64;
 
 use super::event::{Command, Effect, Note};
-use super::job::{Output, Tile};
+use super::job::{Job, Output, Tile};
 use super::machine::{Machine, Worker};
 use super::messages::Now;
 use super::pools::Profile;
@@ -128,8 +128,13 @@ impl Machine {
         let spotted: Vec<(JobId, TileIndex)> = self.spotted.iter().copied().collect();
         let mut granted = 0;
         for (id, tile) in spotted {
-            // A job that was paused when only checks were left has no tile with which it would begin to run.
-            if self.jobs.get(&id).is_some_and(|job| job.open() == 0 && self.allowed(job)) {
+            // A job that was paused when only checks were left has no tile with which it would begin to run,
+            // and nobody gets one where all workers are suspects.
+            let starts = |job: &Job| {
+                let is_disputed = job.spots.get(&tile).is_some_and(Spot::is_disputed);
+                (job.open() == 0 || is_disputed) && self.allowed(job)
+            };
+            if self.jobs.get(&id).is_some_and(starts) {
                 self.start(id);
             }
             let Some((profile, spot)) = self.due(id, tile, now) else { continue };

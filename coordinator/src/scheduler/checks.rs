@@ -10,6 +10,21 @@ use super::queue::User;
 use crate::ids::{LeaseId, WorkerId};
 
 impl Machine {
+    /// Returns the state of the workers, the leases and the open jobs, for the message of a failed test.
+    #[cfg(test)]
+    pub(crate) fn state_text(&self) -> String {
+        let mut out: Vec<String> = self.workers.iter().map(|(id, w)| format!("{id:?} {w:?}")).collect();
+        out.extend(self.leases.iter().map(|(id, l)| format!("{id:?} {l:?}")));
+        for job in self.jobs.values() {
+            let tiles = job.indices().zip(&job.tiles).filter(|(_, t)| t.output == Output::Open);
+            out.push(format!("{:?} spots {:?} ready {:?}", job.record, job.spots, job.ready));
+            out.push(format!("assembling {} no space {:?}", job.assembling, job.no_space_until));
+            out.extend(tiles.map(|(tile, of)| format!("{tile:?} {of:?}")));
+        }
+        out.push(format!("suspects {:?} quarantined {:?}", self.suspects, self.quarantined));
+        out.join("\n")
+    }
+
     /// Compares everything that is kept beside the facts with the facts.
     ///
     /// # Errors

@@ -11,6 +11,9 @@ pub(super) struct Missing {
     pub(super) lease: Lease,
 }
 
+/// The name of a dead worker, and the tile that it held first.
+pub(super) type DeathOf = (JobId, TileIndex, String);
+
 /// A death that was counted.
 #[derive(Clone, Debug)]
 pub(super) struct Death {

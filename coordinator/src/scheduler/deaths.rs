@@ -5,7 +5,7 @@
 //! had lost its network only: its death is cancelled. Of several leases of a dead worker the first one given
 //! counts, so that tiles fetched in advance are not blamed.
 
-use super::death::{Death, Missing};
+use super::death::{Death, DeathOf, Missing};
 use super::event::{Command, Effect, Note};
 use super::job::Output;
 use super::machine::{Machine, Worker};
@@ -70,8 +70,29 @@ impl Machine {
         }
         self.deaths.push_back(Death { name: name.clone(), instance, job: id, tile });
         self.note(Note::Died(lease, name.clone()));
+        self.recording.insert((id, tile, name.clone()), false);
         let reason = REASON.to_owned();
         self.effects.push(Effect::Run(Command::CountDeath { job: id, tile, worker: name, reason }));
+        self.list_job(id);
+        self.tell_watchers(id);
+    }
+
+    /// Judges a tile after the store has recorded a death. A death that was cancelled meanwhile is taken
+    /// out of the store again.
+    pub(super) fn death_recorded(&mut self, of: DeathOf, on: u32, reason: &str) {
+        if !self.recording.remove(&of).unwrap_or(false) {
+            self.judge(of.0, of.1, (on, true), reason);
+            return;
+        }
+        let (id, tile, worker) = of;
+        let reason = REASON.to_owned();
+        self.effects.push(Effect::Run(Command::CancelDeath { job: id, tile, worker, reason }));
+        if let Some(job) = self.jobs.get_mut(&id)
+            && let Some(t) = job.tiles.get_mut(tile.at())
+        {
+            t.judged = false;
+            job.look_at(tile);
+        }
         self.list_job(id);
         self.tell_watchers(id);
     }
@@ -89,8 +110,14 @@ impl Machine {
             if self.deaths.iter().any(|other| (&other.name, other.job, other.tile) == (&name, id, tile)) {
                 continue;
             }
-            let reason = REASON.to_owned();
-            self.effects.push(Effect::Run(Command::CancelDeath { job: id, tile, worker: name, reason }));
+            let of = (id, tile, name);
+            // A cancellation that overtook the record would leave it there.
+            if let Some(is_cancelled) = self.recording.get_mut(&of) {
+                *is_cancelled = true;
+                continue;
+            }
+            let (worker, reason) = (of.2, REASON.to_owned());
+            self.effects.push(Effect::Run(Command::CancelDeath { job: id, tile, worker, reason }));
         }
     }
 }

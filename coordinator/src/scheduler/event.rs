@@ -90,8 +90,8 @@ pub(crate) enum Event {
         on: u32,
         /// The last reason.
         reason: String,
-        /// Whether the failure is the death of a worker.
-        died: bool,
+        /// The worker whose death the failure is; `None` for other failures.
+        dead: Option<String>,
     },
     /// A tile of [`Command::SetAside`] has a stand-in in the store.
     SetAside {

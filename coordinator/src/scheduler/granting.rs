@@ -230,8 +230,13 @@ impl Machine {
         let Some(t) = job.tiles.get_mut(tile.at()) else { return };
         if t.not_before.is_some_and(|until| until <= now.ms) {
             t.not_before = None;
+            let is_orphan = t.missing > 0;
             job.look_at(tile);
             self.list_job(id);
+            if is_orphan {
+                // The store may have refused the command that sets it aside.
+                self.set_orphans_aside(id);
+            }
         }
     }
 }

@@ -46,11 +46,11 @@ impl Machine {
 
     /// Sets open tiles aside that need a tile which was set aside. A late output can replace the stand-in of
     /// such a tile, and an invalidation then opens it again without the tile that it needs.
-    fn set_orphans_aside(&mut self, id: JobId) {
+    pub(super) fn set_orphans_aside(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let aside = |tile: &TileIndex| matches!(job.tiles[tile.at()].output, Output::SetAside(_));
-        let orphans: BTreeSet<TileIndex> =
-            job.indices().filter(aside).flat_map(|tile| job.lost_with(tile)).collect();
+        let lost = job.indices().filter(aside).flat_map(|tile| job.lost_with(tile));
+        let orphans: BTreeSet<TileIndex> = lost.filter(|tile| !job.tiles[tile.at()].judged).collect();
         let tiles: Vec<TileIndex> = orphans.into_iter().rev().collect();
         if tiles.is_empty() {
             return;
@@ -227,7 +227,12 @@ impl Machine {
                 }
                 id
             }
-            Command::Fail { job: id, tile, .. } | Command::CountDeath { job: id, tile, .. } => {
+            Command::Fail { job: id, tile, .. } => {
+                self.unjudge(id, tile, now);
+                id
+            }
+            Command::CountDeath { job: id, tile, worker, .. } => {
+                self.recording.remove(&(id, tile, worker));
                 self.unjudge(id, tile, now);
                 id
             }

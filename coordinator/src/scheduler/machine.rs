@@ -11,7 +11,7 @@ use std::sync::Arc;
 use sightline_numbers::random::SplitMix64;
 
 use super::crew::Crew;
-use super::death::{Death, Missing};
+use super::death::{Death, DeathOf, Missing};
 use super::event::{Command, Effect, Event, Note};
 use super::job::{Job, Output, Work};
 use super::ledger::Ledger;
@@ -142,6 +142,8 @@ pub(crate) struct Machine {
     pub(super) missing: BTreeMap<WorkerId, Missing>,
     /// Deaths that are cancelled if the worker returns, from the oldest.
     pub(super) deaths: VecDeque<Death>,
+    /// Deaths that the store has not recorded yet, and whether they were cancelled in the meantime.
+    pub(super) recording: BTreeMap<DeathOf, bool>,
     /// Leased tiles whose leaders can use helpers.
     pub(super) crews: BTreeMap<LeaseId, Crew>,
     /// Users with open jobs.
@@ -183,6 +185,7 @@ impl Machine {
             instances: BTreeMap::new(),
             missing: BTreeMap::new(),
             deaths: VecDeque::new(),
+            recording: BTreeMap::new(),
             crews: BTreeMap::new(),
             accounts: BTreeMap::new(),
             pools: Pools::default(),
@@ -228,8 +231,11 @@ impl Machine {
             Event::Swept => self.swept(),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
-            Event::FailureRecorded { job, tile, on, reason, died } => {
-                self.judge(job, tile, (on, died), &reason);
+            Event::FailureRecorded { job, tile, on, reason, dead: None } => {
+                self.judge(job, tile, (on, false), &reason);
+            }
+            Event::FailureRecorded { job, tile, on, reason, dead: Some(name) } => {
+                self.death_recorded((job, tile, name), on, &reason);
             }
             Event::SetAside { job, tile, digest } => self.tile_set_aside(job, tile, digest),
             Event::Bound(job, profile) => self.bound(job, profile),
@@ -385,6 +391,7 @@ impl Machine {
         self.revoke_job(id);
         self.unlist_job(id);
         self.spotted.retain(|(job, _)| *job != id);
+        self.recording.retain(|(job, ..), _| *job != id);
         self.clear_suspects(id, None);
         if let Some(job) = self.jobs.remove(&id) {
             self.close_account(&job.whom.user);

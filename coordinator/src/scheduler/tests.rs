@@ -20,7 +20,9 @@ pub(super) struct Bench {
     answer: Option<Result<Joined, NameTaken>>,
     departure: Option<Departure>,
     pub(super) notes: Vec<Note>,
-    /// Commands about checks, and jobs that were complete.
+    /// Whether commands that record deaths wait in `ran`.
+    pub(super) holds_deaths: bool,
+    /// Commands about checks, deaths that wait, and jobs that were complete.
     pub(super) ran: Vec<Command>,
     pub(super) assembled: Vec<JobId>,
 }
@@ -48,11 +50,14 @@ impl Bench {
                 }
                 Effect::Run(Command::Fail { job, tile, worker, reason }) => {
                     let on = self.store.fail_tile(job, tile, &worker, &reason).unwrap();
-                    self.step(Event::FailureRecorded { job, tile, on, reason, died: false });
+                    self.step(Event::FailureRecorded { job, tile, on, reason, dead: None });
+                }
+                Effect::Run(command @ Command::CountDeath { .. }) if self.holds_deaths => {
+                    self.ran.push(command);
                 }
                 Effect::Run(Command::CountDeath { job, tile, worker, reason }) => {
                     let on = self.store.count_death(job, tile, &worker, &reason).unwrap();
-                    self.step(Event::FailureRecorded { job, tile, on, reason, died: true });
+                    self.step(Event::FailureRecorded { job, tile, on, reason, dead: Some(worker) });
                 }
                 Effect::Run(Command::CancelDeath { job, tile, worker, reason }) => {
                     self.store.forget_failure(job, tile, &worker, &reason).unwrap();
@@ -158,6 +163,7 @@ pub(super) fn empty(epoch: u64) -> Bench {
         answer: None,
         departure: None,
         notes: Vec::new(),
+        holds_deaths: false,
         ran: Vec::new(),
         assembled: Vec::new(),
     }

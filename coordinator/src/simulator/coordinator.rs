@@ -178,6 +178,11 @@ impl World {
         if self.disk_full {
             return self.tell(Event::Refused(command));
         }
+        // Nobody opens tiles again while the machine has not heard of a commit.
+        if matches!(command, Command::Quarantine { .. }) && self.commits() {
+            self.after(1, Happening::Run(self.life, Box::new(command)));
+            return Ok(());
+        }
         let mut events = Vec::new();
         let outcome = self.outcome(&command, &mut events);
         events.into_iter().try_for_each(|event| self.tell(event))?;
@@ -189,6 +194,16 @@ impl World {
                 Refusal::Ended => Ok(()),
             },
         }
+    }
+
+    /// Whether an output is committed of which the machine has not heard.
+    fn commits(&self) -> bool {
+        self.queue.values().any(|happening| match happening {
+            Happening::Durable(life, _, _, events, ..) => {
+                *life == self.life && events.iter().any(|event| matches!(event, Event::Committed { .. }))
+            }
+            _ => false,
+        })
     }
 
     fn outcome(&mut self, command: &Command, events: &mut Vec<Event>) -> Result<(), StoreError> {
@@ -205,12 +220,12 @@ impl World {
             Command::Fail { job, tile, worker, reason } => {
                 let on = self.store().fail_tile(*job, *tile, worker, reason)?;
                 let (job, tile, reason) = (*job, *tile, reason.clone());
-                events.push(Event::FailureRecorded { job, tile, on, reason, died: false });
+                events.push(Event::FailureRecorded { job, tile, on, reason, dead: None });
             }
             Command::CountDeath { job, tile, worker, reason } => {
                 let on = self.store().count_death(*job, *tile, worker, reason)?;
-                let (job, tile, reason) = (*job, *tile, reason.clone());
-                events.push(Event::FailureRecorded { job, tile, on, reason, died: true });
+                let (job, tile, reason, dead) = (*job, *tile, reason.clone(), Some(worker.clone()));
+                events.push(Event::FailureRecorded { job, tile, on, reason, dead });
             }
             Command::CancelDeath { job, tile, worker, reason } => {
                 self.store().forget_failure(*job, *tile, worker, reason)?;
@@ -233,7 +248,11 @@ impl World {
             Command::Quarantine { workers, condemned, reason } => {
                 for (id, tiles) in unbelieved(self.store(), workers, *condemned)? {
                     let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
-                    self.store().invalidate_tiles(id, &tiles)?;
+                    if let Err(e) = self.store().invalidate_tiles(id, &tiles) {
+                        // The change may be on the disk although its write failed.
+                        self.acknowledged.retain(|(job, tile), _| *job != id || !tiles.contains(tile));
+                        return Err(e);
+                    }
                     let open = self.store().tiles(id)?;
                     let is_open = |tile: TileIndex| open[tile.at()].state == TileState::Open;
                     self.acknowledged.retain(|(job, tile), _| *job != id || !is_open(*tile));

@@ -37,7 +37,9 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
         world.now = at;
         if world.now > super::world::FAULTS + PATIENCE {
             let open: Vec<_> = world.open_jobs();
-            return Err(format!("jobs do not end: {open:?}"));
+            let state = world.machine.as_ref().map(|machine| machine.state_text());
+            let tiles: Vec<_> = open.iter().map(|(id, _)| world.store().tiles(*id)).collect();
+            return Err(format!("jobs do not end: {open:?}\n{}\n{tiles:?}", state.unwrap_or_default()));
         }
         world.handle(happening)?;
         if !world.faults_on() && world.machine.is_some() && world.open_jobs().is_empty() {

@@ -81,4 +81,11 @@ fn schedules_that_failed() {
     schedules_on_disk(201_179, 1);
     // Every worker was a suspect in a dispute, and an open tile kept the helper from judging it.
     schedules_on_disk(201_666, 1);
+    // A worker that was called silent was told to stop a tile that it did not have, and did not ask
+    // again.
+    schedules_on_disk(300_145, 1);
+    // A job that was paused while all workers were suspects did not run again, so that nobody judged.
+    schedules_on_disk(409_916, 1);
+    // The store refused to set aside a tile that needed a tile which was set aside.
+    schedules_on_disk(303_920, 1);
 }

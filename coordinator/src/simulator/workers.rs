@@ -51,19 +51,19 @@ impl World {
                     .map(|h| h.lease.id)
                     .collect();
                 lost.into_iter().for_each(|id| self.cancel(w, id));
-                let wants = IN_HAND.saturating_sub(self.workers[w].held.len()) as u32;
                 if self.workers[w].draining {
                     self.send_up(stream, Up::Drains);
-                } else if wants > 0 {
-                    self.send_up(stream, Up::Want(wants));
                 }
+                self.want_all(w);
             }
             Down::Grant(lease) => {
                 let held = Held { lease, runs: false, ran: false, cancelled: false, samples: 0, tries: 0 };
                 self.workers[w].held.insert(lease.id, held);
                 self.run_next(w);
             }
-            Down::Revoke(lease) => self.cancel(w, lease.id),
+            Down::Revoke(lease) if self.workers[w].held.contains_key(&lease.id) => self.cancel(w, lease.id),
+            // The coordinator took a tile for held that is not.
+            Down::Revoke(_) => self.want_all(w),
             Down::Refused => self.worker_breaks(w),
         }
     }
@@ -171,6 +171,14 @@ impl World {
             }
             self.want_more(w);
             self.run_next(w);
+        }
+    }
+
+    /// Asks for as many tiles as a worker may hold beside those that it holds.
+    fn want_all(&mut self, w: usize) {
+        let wants = IN_HAND.saturating_sub(self.workers[w].held.len()) as u32;
+        if !self.workers[w].draining && wants > 0 {
+            self.say(w, Up::Want(wants));
         }
     }
 

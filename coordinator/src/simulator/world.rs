@@ -8,8 +8,8 @@ use sightline_viewcells::Plan;
 
 use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
 use crate::ids::{JobId, Lease, LeaseId, TileIndex};
-use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Work};
-use crate::store::{JobPhase, MemoryStore, TileState};
+use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Output, Work};
+use crate::store::{JobPhase, MemoryStore};
 
 pub(super) const TTL: u64 = 10_000;
 /// After a restart nothing that may be held is leased for this long.
@@ -246,8 +246,8 @@ impl World {
         // A tile that its worker has claimed may change hands.
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
         // The check of a done tile does not affect the worker that made the tile.
-        let tile = self.store().tile(lease.job, lease.tile).map_err(|e| e.to_string())?;
-        let is_open = tile.state == TileState::Open;
+        let job = self.machine.as_ref().and_then(|machine| machine.job(lease.job));
+        let is_open = job.is_some_and(|job| job.tiles[lease.tile.at()].output == Output::Open);
         if is_open && self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + GRACE {
             return Err(format!("{lease:?} is given while an earlier epoch's worker may hold the tile"));
         }
