@@ -20,7 +20,7 @@ use crate::limits::Sender;
 use crate::sessions;
 use crate::spool::Spool;
 use crate::state::Coordinator;
-use crate::store::MAX_OUTCOME_BYTES;
+use crate::store::{MAX_OUTCOME_BYTES, TileState};
 
 /// Most items in a message: more than a phase has.
 const MAX_ITEMS: usize = 1 << 20;
@@ -194,11 +194,20 @@ async fn keep(
         let digest = spool.digest().map_err(|e| status::of_spool(&e))?;
         let of = (spool.announced(), blake3::Hash::from_bytes(digest));
         let push = |from: &mut dyn Read| c.crews.outcomes.push_from(tile, phase, of, from);
-        spool.read(c, push).map_err(|e| status::of_blob(&e))
+        if spool.read(c, push).map_err(|e| status::of_blob(&e))? {
+            return Ok(true);
+        }
+        // The commit of a tile removes its outcomes while a late one may be under way.
+        let tile = c.store.tile(lease.job, lease.tile).map_err(|e| status::of_store(&e))?;
+        match tile.state {
+            TileState::Open => Err(Status::resource_exhausted("an outcome could not be kept")),
+            TileState::Done { .. } | TileState::SetAside { .. } => Ok(false),
+        }
     });
+    // Helpers wait for every outcome, so the crew ends without one that failed.
     if !kept.await? {
-        // Helpers wait for every outcome, so the crew ends without this one.
-        return Err(Status::resource_exhausted("an outcome could not be kept"));
+        tracing::debug!("an outcome of tile {} came after its output", lease.tile);
+        return Ok(());
     }
     c.metrics.phase_done(&profile, Duration::from_micros(piece.micros));
     room.outcomes.send_replace(phase + 1);
