@@ -71,6 +71,13 @@ impl Journal {
         if let Some((offset, what)) = damage {
             return Err(JournalError::Damaged { path: path.to_owned(), offset, what, lost: String::new() });
         }
+        if end.offset > HEADER_BYTES && !marks.iter().any(|mark| mark.journal == id) {
+            tracing::warn!(
+                path = %mark_path.display(),
+                "no watermark of the journal can be read, so that a lost end of the journal would not be \
+                 noticed; compare the list of jobs with a backup. The watermark is written anew"
+            );
+        }
         let mut file = disk.open(path, Access::Update).map_err(fault("open", path))?;
         if end.offset < length {
             tracing::warn!(

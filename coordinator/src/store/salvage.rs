@@ -34,6 +34,8 @@ pub(super) struct Salvage {
     pub(super) entries: BTreeMap<Bytes, Bytes>,
     /// The damage, if there is any.
     pub(super) damage: Option<Damage>,
+    /// Whether a watermark of the journal could be read. Without one a lost end may look whole.
+    pub(super) is_marked: bool,
     /// The numbers with which a repaired store continues.
     numbers: Numbers,
 }
@@ -94,9 +96,10 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
         }
     };
     let Inspected { id, mut end, length, acknowledged, mut is_met, damage } = inspected;
+    let is_marked = length <= HEADER_BYTES || marks.iter().any(|mark| mark.journal == id);
     let Some((offset, what)) = damage else {
         let numbers = View(&entries).numbers()?;
-        return Ok(Salvage { entries, damage: None, numbers });
+        return Ok(Salvage { entries, damage: None, is_marked, numbers });
     };
     let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
     if let Some((mark, of_view)) = view
@@ -145,7 +148,8 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
     let lost = (JobId(own.next_job), JobId(next_job - 1));
     let lost_jobs = Some(lost).filter(|(first, last)| is_loss && first <= last);
     let is_unmeasured = acknowledged.is_none();
-    Ok(Salvage { entries, damage: Some(Damage { offset, what, lost_jobs, is_loss, is_unmeasured }), numbers })
+    let damage = Some(Damage { offset, what, lost_jobs, is_loss, is_unmeasured });
+    Ok(Salvage { entries, damage, is_marked, numbers })
 }
 
 /// Writes a new journal of the salvaged entries in the place of the damaged one, of which a copy stays.

@@ -189,6 +189,18 @@ fn unreadable_slot_of_watermark_counts_as_damaged() {
     assert_eq!(jobs_of(&SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap()).len(), JOBS as usize);
 }
 
+#[test]
+fn lost_watermark_is_noticed() {
+    let files = acknowledged();
+    let disk = disk_of(&files.journal, &files.mark);
+    assert!(read(&disk, &path(), Some(files.view.clone())).unwrap().is_marked);
+    let without = disk_of(&files.journal, &[]);
+    let salvage = read(&without, &path(), Some(files.view.clone())).unwrap();
+    assert!(salvage.damage.is_none() && !salvage.is_marked);
+    // Without the view, too, nothing tells how long the journal was.
+    assert!(read(&without, &path(), None).unwrap().damage.unwrap().is_unmeasured);
+}
+
 fn jobs_of(store: &SledStore) -> BTreeSet<u64> {
     store.jobs().unwrap().iter().map(|job| job.id.0).collect()
 }

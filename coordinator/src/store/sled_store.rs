@@ -200,7 +200,8 @@ impl SledStore {
             }
         };
         drop(lock);
-        Ok(StoreInspection { store: MemoryStore::with(salvage.entries), damage: salvage.damage })
+        let salvage::Salvage { entries, damage, is_marked, .. } = salvage;
+        Ok(StoreInspection { store: MemoryStore::with(entries), damage, is_marked })
     }
 
     /// Repairs the journal of the store in `directory`, if acknowledged frames of it are damaged.
@@ -227,6 +228,8 @@ pub struct StoreInspection {
     pub store: MemoryStore,
     /// The damage to the journal, if there is any.
     pub damage: Option<Damage>,
+    /// Whether the journal's watermark could be read. Without it a lost end of the journal may look whole.
+    pub is_marked: bool,
 }
 
 /// The outcome of a repair.

@@ -73,6 +73,8 @@ struct Outcome {
     opened: Option<u64>,
     /// The journal with its damage, if it is damaged.
     journal: Option<(PathBuf, Damage)>,
+    /// Whether the journal's watermark could be read; `None` where this was not looked at.
+    is_marked: Option<bool>,
     /// The repair of the journal, if it was necessary.
     repaired: Option<Repaired>,
     /// The relation of the blobs to the store.
@@ -98,7 +100,8 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         Some(folder) if !changes => {
             let inspection = SledStore::inspect(folder).map_err(of_store)?;
             let outcome = look(args, &inspection.store)?;
-            Outcome { journal: inspection.damage.map(|damage| (folder.join("journal"), damage)), ..outcome }
+            let journal = inspection.damage.map(|damage| (folder.join("journal"), damage));
+            Outcome { journal, is_marked: Some(inspection.is_marked), ..outcome }
         }
         Some(folder) => {
             let repaired = match args.repair {
@@ -134,7 +137,7 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     let Some((needs, why)) = rest.next() else { return Ok(()) };
     let needs: Vec<String> = needs.iter().map(need_text).collect();
     Err(CliError::Input(format!(
-        "{} blobs are lost, first {}: {why}; --repair has the next start compute again what it can, and \
+        "lost blobs: {}, first {}: {why}; --repair has the next start compute again what it can, and \
          scenes have to be sent again",
         rest.count() + 1,
         needs.join(", ")
@@ -175,7 +178,7 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, CliError> {
         Ownership::Unnamed if found.blobs == 0 => Ownership::Own,
         other => other,
     };
-    Ok(Outcome { found, opened, journal: None, repaired: None, ownership })
+    Ok(Outcome { found, opened, journal: None, is_marked: None, repaired: None, ownership })
 }
 
 fn must_be_sent(needs: &[Need]) -> bool {
@@ -192,7 +195,7 @@ fn need_text(need: &Need) -> String {
 }
 
 fn report(outcome: &Outcome) -> Value {
-    let Outcome { found, opened, journal, repaired, ownership } = outcome;
+    let Outcome { found, opened, journal, is_marked, repaired, ownership } = outcome;
     let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| {
         let needed: Vec<String> = needs.iter().map(need_text).collect();
         json!({"why": why, "needed": needed})
@@ -208,7 +211,7 @@ fn report(outcome: &Outcome) -> Value {
         "scenes": found.scenes, "jobs": found.jobs, "blobs": found.blobs, "bytes": found.bytes,
         "unneeded": found.unneeded, "unneeded_bytes": found.unneeded_bytes,
         "lost": found.lost.iter().map(lost).collect::<Vec<_>>(), "tiles_opened": opened,
-        "blobs_owner": owner,
+        "blobs_owner": owner, "journal_watermark": is_marked,
         "journal": damage.map(|damage| json!({
             "offset": damage.offset, "fault": damage.what, "is_loss": damage.is_loss,
             "is_unmeasured": damage.is_unmeasured,
@@ -219,7 +222,7 @@ fn report(outcome: &Outcome) -> Value {
 }
 
 fn tell(outcome: &Outcome) -> Result<(), CliError> {
-    let Outcome { found, opened, repaired, ownership, journal } = outcome;
+    let Outcome { found, opened, repaired, ownership, journal, is_marked } = outcome;
     if let Some(Repaired { damage, damaged }) = repaired {
         let copy = damaged
             .as_ref()
@@ -230,22 +233,43 @@ fn tell(outcome: &Outcome) -> Result<(), CliError> {
             damage.what,
             damage.loss()
         ))?;
+        if damage.is_loss || damage.is_unmeasured {
+            print("jobs that were deleted lately may be back; delete them again")?;
+        }
     }
     print(&format!(
-        "{} scenes, {} jobs; {} blobs, {} bytes; {} blobs are needed by nobody, {} bytes: a coordinator \
-         removes them a day after they were written",
-        found.scenes, found.jobs, found.blobs, found.bytes, found.unneeded, found.unneeded_bytes
+        "{}, {}; {}, {} bytes; needed by nobody: {}, {} bytes; a coordinator removes these a day after they \
+         were written",
+        count(found.scenes, "scene"),
+        count(found.jobs, "job"),
+        count(found.blobs, "blob"),
+        found.bytes,
+        count(found.unneeded, "blob"),
+        found.unneeded_bytes
     ))?;
     if let Some(refusal) = ownership.refusal() {
         print(&refusal)?;
+    }
+    if *is_marked == Some(false) {
+        print(
+            "no watermark of the journal can be read (journal.mark), so a lost end of the journal cannot be \
+             told; compare the list of jobs with a backup. The next start writes the watermark anew",
+        )?;
     }
     for (needs, why) in found.lost.values() {
         let needs: Vec<String> = needs.iter().map(need_text).collect();
         print(&format!("LOST: {}: {why}", needs.join(", ")))?;
     }
     match opened {
-        Some(tiles) => print(&format!("{tiles} tiles are computed again when the coordinator runs")),
-        None if found.lost.is_empty() && journal.is_none() => print("everything that is needed is there"),
+        Some(tiles) => print(&format!("tiles to compute again when the coordinator runs: {tiles}")),
+        None if found.lost.is_empty() && journal.is_none() => {
+            let is_repaired = repaired.is_some();
+            print(if is_repaired {
+                "all blobs that the records name are there"
+            } else {
+                "everything that is needed is there"
+            })
+        }
         None => Ok(()),
     }
 }
@@ -256,6 +280,11 @@ fn compact(args: &PlaceArgs, json: bool) -> Result<(), CliError> {
         return print(&json!({"from_bytes": done.from, "to_bytes": done.to}).to_string());
     }
     print(&format!("the journal had {} bytes and has {}", done.from, done.to))
+}
+
+/// Returns a number with a noun.
+fn count(n: u64, noun: &str) -> String {
+    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
 }
 
 /// Hashes what is written.
