@@ -64,7 +64,9 @@ started=$(date +%s%N)
 took=$(awk -v ns=$(($(date +%s%N) - started)) 'BEGIN { printf "%.1f", ns / 1e9 }')
 
 say 'measuring: frames drawn from the result against frames of the whole scene'
-"$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json >"out/${name%.*}.measure.json"
+# With --json, progress is JSON, too.
+"$sightline" measure "$scene" "$result" --viewpoints 200 --seed 1 --json >"out/${name%.*}.measure.json" \
+  2> >(grep -v '"event":"progress"' >&2)
 
 number() { sed -n "s/.*\"$1\" *: *\([0-9.eE+-]*\).*/\1/p" "out/${name%.*}.measure.json" | head -n 1; }
 percent() { awk -v x="$(number "$1")" 'BEGIN { if (x == "") exit 1; printf "%.4f %%", 100 * x }'; }

@@ -161,6 +161,12 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             false if misses_nothing(older) && misses_nothing(newer) => {
                 "both results miss nothing: what came or went, and is not undecided, is a change".to_owned()
             }
+            false if older.granularity() != newer.granularity() => format!(
+                "the sets of the older result have {}, those of the newer one {}: triangles of an item that \
+                 is seen in part may come or go without a change; bake both with one --granularity",
+                older.granularity().name(),
+                newer.granularity().name()
+            ),
             false => {
                 "sampling alone may explain it: bake both with --max-error and --contributions to tell noise \
                       from change, or exactly"

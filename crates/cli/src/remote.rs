@@ -152,7 +152,11 @@ pub async fn shown(mut client: JobsClient<Connection>, job: u64) -> Result<v1::J
 
 /// Cancels, pauses, resumes, retries or deletes.
 pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
+    let is_deleted = matches!(turn, Turn::Delete);
     let job = with(&args.remote, |client| turned(client, args.id, turn))?;
+    if is_deleted && !json {
+        return print(&format!("job {} is deleted", job.id));
+    }
     show_job(&job, json)
 }
 

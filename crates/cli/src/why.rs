@@ -12,7 +12,7 @@ use sightline_model::BackendChoice;
 use sightline_pvs::Pvs;
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
-use sightline_scene::Scene;
+use sightline_scene::{Kind, Scene};
 
 use crate::backends::open_backend;
 use crate::error::CliError;
@@ -142,7 +142,7 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
                 let of = answer["blockers"].as_array().map_or(&[][..], |b| b);
                 blockers.extend(of.iter().filter_map(Value::as_u64));
                 reasons.insert(match (answer["kind"].as_str(), answer["degenerate"] == true) {
-                    (Some(kind), _) => format!("are {kind}"),
+                    (Some(kind), _) => format!("are {}", kind_text(kind)),
                     (None, true) => "have no area".to_owned(),
                     (None, false) if of.is_empty() => "turn their inner side to the cell".to_owned(),
                     (None, false) => "are behind others".to_owned(),
@@ -202,7 +202,8 @@ fn in_words(about: &str, answer: &Value) -> String {
             format!("{about}: hidden, because all its triangles {}{behind}", reasons.join(" or "))
         }
         Some("hidden") if answer["kind"].is_string() => {
-            format!("{about}: in no set, because it is {}", answer["kind"].as_str().unwrap_or_default())
+            let kind = kind_text(answer["kind"].as_str().unwrap_or_default());
+            format!("{about}: in no set, because it is {kind}")
         }
         Some("hidden") if answer["degenerate"] == true => format!("{about}: hidden, because it has no area"),
         Some("hidden") if blockers.is_empty() => {
@@ -238,6 +239,14 @@ fn in_words(about: &str, answer: &Value) -> String {
             "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
             answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
         ),
+    }
+}
+
+/// Returns the text for a kind of triangles that are in no set.
+fn kind_text(name: &str) -> &str {
+    match Kind::from_name(name) {
+        Some(Kind::Hidden) => "switched off by the scene's file (KHR_node_visibility)",
+        _ => name,
     }
 }
 

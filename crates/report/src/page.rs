@@ -49,6 +49,9 @@ pub struct About<'a> {
 
 /// Text of a document.
 fn escaped(text: &str) -> String {
+    // A document may hold no other control characters.
+    let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    let text = text.replace(is_refused, "\u{fffd}");
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 

@@ -93,6 +93,9 @@ pub fn program(modules: &[&str]) -> String {
 
 /// Text of an HTML document.
 fn escaped(text: &str) -> String {
+    // A document may hold no other control characters.
+    let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    let text = text.replace(is_refused, "\u{fffd}");
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
@@ -124,5 +127,6 @@ pub mod tests {
     #[test]
     fn text_ends_no_element() {
         assert_eq!(escaped("<b>\"&"), "&lt;b&gt;&quot;&amp;");
+        assert_eq!(escaped("a\u{1b}[31m\u{0}\u{85}\tb"), "a\u{fffd}[31m\u{fffd}\u{fffd}\tb");
     }
 }
