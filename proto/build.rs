@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use prost::Message as _;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let files = ["jobs", "workers", "farm", "results"].map(|name| format!("sightline/v1/{name}.proto"));
+    let files =
+        ["jobs", "workers", "farm", "results"].map(|name| format!("sightline/v1/{name}.proto"));
     println!("cargo:rerun-if-changed=sightline");
     let set = protox::compile(files, ["."])?;
     // The descriptors, for the reflection service.
@@ -13,7 +14,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let descriptors = set.encode_to_vec();
     std::fs::write(out.join("descriptors.bin"), &descriptors)?;
     // The JSON form of messages that the Protocol Buffers define.
-    pbjson_build::Builder::new().register_descriptors(&descriptors)?.build(&[".sightline.v1"])?;
+    pbjson_build::Builder::new()
+        .register_descriptors(&descriptors)?
+        .build(&[".sightline.v1"])?;
     let services = r#"#[cfg(feature = "services")]"#;
     tonic_prost_build::configure()
         // Its text is a secret (src/lib.rs).

@@ -35,30 +35,59 @@ use crate::tests::{coordinator, granted, nameless, put, two_tiles};
 /// Receivers in blocks of these lengths, on the only triangle.
 fn of_blocks(blocks: &[u32]) -> Vec<u8> {
     let all: u32 = blocks.iter().sum();
-    let receiver =
-        |i: u32| Receiver { point: [f64::from(i), 0.0, 0.0], normal: [0.0, 0.0, 1.0], triangle: Some(0) };
-    let asked = Asked { distance: 2.0, falloff: Falloff::None, lights: Vec::new() };
+    let receiver = |i: u32| Receiver {
+        point: [f64::from(i), 0.0, 0.0],
+        normal: [0.0, 0.0, 1.0],
+        triangle: Some(0),
+    };
+    let asked = Asked {
+        distance: 2.0,
+        falloff: Falloff::None,
+        lights: Vec::new(),
+    };
     let receivers = (0..all).map(receiver).collect();
-    Receivers { asked, blocks: blocks.to_vec(), receivers }.encode().unwrap()
+    Receivers {
+        asked,
+        blocks: blocks.to_vec(),
+        receivers,
+    }
+    .encode()
+    .unwrap()
 }
 
 /// Uploads bytes as receivers of an owner, in chunks of some bytes.
 fn send(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, UploadError> {
     let whole = *blake3::hash(bytes).as_bytes();
-    let chunks: Vec<Digest> =
-        bytes.chunks(100_000).map(|part| scenes::put_chunk(c, owner, part).unwrap()).collect();
+    let chunks: Vec<Digest> = bytes
+        .chunks(100_000)
+        .map(|part| scenes::put_chunk(c, owner, part).unwrap())
+        .collect();
     receivers::put(c, owner, whole, &chunks).map(|_| whole)
 }
 
 fn user(name: &str) -> Caller {
-    Caller::User { name: name.to_owned(), scopes: Scopes::of(&[Scope::Submit]) }
+    Caller::User {
+        name: name.to_owned(),
+        scopes: Scopes::of(&[Scope::Submit]),
+    }
 }
 
 fn of(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission {
     let stored = receivers::stored(c, digest).unwrap();
     let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
-    let spec = JobSpec::of_receivers(scene, Ambient { receivers: digest, bytes, points, lights });
-    Submission { owner: owner.to_owned(), ..nameless(spec) }
+    let spec = JobSpec::of_receivers(
+        scene,
+        Ambient {
+            receivers: digest,
+            bytes,
+            points,
+            lights,
+        },
+    );
+    Submission {
+        owner: owner.to_owned(),
+        ..nameless(spec)
+    }
 }
 
 fn worker() -> Introduction {
@@ -87,21 +116,45 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
     let grants = [granted(&mut orders), granted(&mut orders)];
     assert_eq!(grants[0].spec.ambient.unwrap().receivers, digest);
-    let tile = |points: usize, value| Openness { numbers: 1, values: vec![value; points], bound: 1e-9 };
-    let refused = |openness: Openness| put(&c, &grants[0], &openness.encode().unwrap()).unwrap_err();
+    let tile = |points: usize, value| Openness {
+        numbers: 1,
+        values: vec![value; points],
+        bound: 1e-9,
+    };
+    let refused =
+        |openness: Openness| put(&c, &grants[0], &openness.encode().unwrap()).unwrap_err();
     assert!(matches!(refused(tile(4096, 0.5)), ResultError::Encoding(_)));
     assert!(matches!(refused(tile(4100, 1.5)), ResultError::Encoding(_)));
-    assert!(matches!(refused(Openness { numbers: 2, ..tile(4100, 0.5) }), ResultError::Encoding(_)));
-    assert!(matches!(partial::so_far(&c, id, &|| false), Err(partial::PartialError::Nothing(_))));
+    assert!(matches!(
+        refused(Openness {
+            numbers: 2,
+            ..tile(4100, 0.5)
+        }),
+        ResultError::Encoding(_)
+    ));
+    assert!(matches!(
+        partial::so_far(&c, id, &|| false),
+        Err(partial::PartialError::Nothing(_))
+    ));
     put(&c, &grants[0], &tile(4100, 0.5).encode().unwrap()).unwrap();
     let so_far = Openness::of_result(&partial::so_far(&c, id, &|| false).unwrap()).unwrap();
-    assert_eq!((so_far.points(), so_far.missing(), so_far.values[4099]), (4105, 5, 0.5));
+    assert_eq!(
+        (so_far.points(), so_far.missing(), so_far.values[4099]),
+        (4105, 5, 0.5)
+    );
     // The other one fails five times.
     let mut grant = grants[1].clone();
     for attempt in 0.. {
         assert!(attempt < 10, "{:?}", jobs::summary(&c, id).unwrap());
-        let failure = Failure { lease: grant.lease, reason: "test".to_owned(), infrastructure: false };
-        do_chores(&c, sessions::heard(&c, joined.worker, Message::Failed(failure)));
+        let failure = Failure {
+            lease: grant.lease,
+            reason: "test".to_owned(),
+            infrastructure: false,
+        };
+        do_chores(
+            &c,
+            sessions::heard(&c, joined.worker, Message::Failed(failure)),
+        );
         do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
         clock.advance(Duration::from_secs(1));
         do_chores(&c, lifecycle::tick(&c));
@@ -117,11 +170,27 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
         std::thread::sleep(Duration::from_millis(10));
     }
     let summary = jobs::summary(&c, id).unwrap();
-    assert_eq!((summary.tiles_done, summary.tiles_set_aside, summary.cells_done), (1, 1, 4100));
+    assert_eq!(
+        (
+            summary.tiles_done,
+            summary.tiles_set_aside,
+            summary.cells_done
+        ),
+        (1, 1, 4100)
+    );
     let result = c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap();
     assert_eq!(Openness::of_result(&result).unwrap().missing(), 5);
-    let why = asking::query(&c, &sightline_proto::v1::QueryRequest { job: id.0, ..Default::default() });
-    assert!(matches!(&why, Err(AskError::Unable(text)) if text.contains("ambient")), "{why:?}");
+    let why = asking::query(
+        &c,
+        &sightline_proto::v1::QueryRequest {
+            job: id.0,
+            ..Default::default()
+        },
+    );
+    assert!(
+        matches!(&why, Err(AskError::Unable(text)) if text.contains("ambient")),
+        "{why:?}"
+    );
 }
 
 #[test]
@@ -135,11 +204,22 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
     do_chores(&c, chores);
     do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
     let grant = granted(&mut orders);
-    let progress = Progress { lease: grant.lease, cells: 1, samples: 0 };
-    do_chores(&c, sessions::heard(&c, joined.worker, Message::Progress(progress)));
+    let progress = Progress {
+        lease: grant.lease,
+        cells: 1,
+        samples: 0,
+    };
+    do_chores(
+        &c,
+        sessions::heard(&c, joined.worker, Message::Progress(progress)),
+    );
     // The output comes while nothing is assembled; then the coordinator is as after a restart.
     jobs::pause(&c, id, false).unwrap();
-    let tile = Openness { numbers: 1, values: vec![0.5; 3], bound: 1e-9 };
+    let tile = Openness {
+        numbers: 1,
+        values: vec![0.5; 3],
+        bound: 1e-9,
+    };
     put(&c, &grant, &tile.encode().unwrap()).unwrap();
     *c.last_receivers.lock().unwrap() = None;
     assert!(c.blobs.remove(&digest).unwrap());
@@ -169,30 +249,61 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
     assert!(bytes.len() > 200_000);
     let digest = send(&c, "ada", &bytes).unwrap();
     assert_eq!(c.uploads.bytes("ada"), bytes.len() as u64);
-    assert_eq!(receivers::known(&c, &user("ada"), digest).unwrap().facts.points, 8192);
-    assert!(matches!(receivers::known(&c, &user("bob"), digest), Err(Fault::Unknown(_))));
+    assert_eq!(
+        receivers::known(&c, &user("ada"), digest)
+            .unwrap()
+            .facts
+            .points,
+        8192
+    );
+    assert!(matches!(
+        receivers::known(&c, &user("bob"), digest),
+        Err(Fault::Unknown(_))
+    ));
     // The digest alone opens nothing, nor do chunks that somebody else has sent.
     let chunk = *blake3::hash(&bytes[..100_000]).as_bytes();
     for chunks in [&[][..], &[chunk], &[digest]] {
         let refused = receivers::put(&c, "bob", digest, chunks).unwrap_err();
-        let is_refused = matches!(refused, UploadError::ChunkMissing | UploadError::Mismatch(_));
+        let is_refused = matches!(
+            refused,
+            UploadError::ChunkMissing | UploadError::Mismatch(_)
+        );
         assert!(is_refused, "{chunks:?}: {refused}");
-        assert!(matches!(receivers::known(&c, &user("bob"), digest), Err(Fault::Unknown(_))));
+        assert!(matches!(
+            receivers::known(&c, &user("bob"), digest),
+            Err(Fault::Unknown(_))
+        ));
     }
     // From the submission on the job counts them, and makes them their owner's.
     let id = submit(&c, &of(&c, scene, digest, "ada")).unwrap().id;
     assert_eq!(c.uploads.bytes("ada"), 0);
     let has = usage(&*c.store, "ada").unwrap();
-    assert_eq!(has, Usage { bytes: bytes.len() as u64, scenes: 0, jobs: 1, tiles: 2 });
+    assert_eq!(
+        has,
+        Usage {
+            bytes: bytes.len() as u64,
+            scenes: 0,
+            jobs: 1,
+            tiles: 2
+        }
+    );
     assert!(receivers::known(&c, &user("ada"), digest).is_ok());
     // Sent again with the digest alone, they are found.
     assert!(receivers::put(&c, "ada", digest, &[]).is_ok());
-    assert!(matches!(receivers::known(&c, &user("bob"), digest), Err(Fault::Unknown(_))));
+    assert!(matches!(
+        receivers::known(&c, &user("bob"), digest),
+        Err(Fault::Unknown(_))
+    ));
     // They are kept as long as a job names them.
     let alone = |remove: &mut dyn FnMut()| remove();
     keeping::sweep(&*c.store, &*c.blobs, &|_, _| true, &alone).unwrap();
     assert!(c.blobs.has(&digest).unwrap());
-    let lost = |c: &Coordinator| keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap().lost.len();
+    let lost = |c: &Coordinator| {
+        keeping::verify(&*c.store, &*c.blobs, &|_| ())
+            .unwrap()
+            .lost
+            .len()
+    };
     assert_eq!(lost(&c), 0);
     let other = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
     for (job, stays) in [(id, true), (other, false)] {
@@ -213,23 +324,49 @@ fn what_is_no_job_of_receivers_is_refused() {
     }
     // What was there before stays.
     let refused = receivers::put(&c, "", scene, &[]).unwrap_err();
-    assert!(matches!(refused, UploadError::Receivers(_)) && c.blobs.has(&scene).unwrap(), "{refused}");
+    assert!(
+        matches!(refused, UploadError::Receivers(_)) && c.blobs.has(&scene).unwrap(),
+        "{refused}"
+    );
     let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
     let refused = receivers::put(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
-    assert!(matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30), "{refused}");
+    assert!(
+        matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30),
+        "{refused}"
+    );
     // A triangle that the scene does not have.
-    let asked = Asked { distance: f64::INFINITY, falloff: Falloff::None, lights: Vec::new() };
-    let receiver = Receiver { point: [0.0; 3], normal: [0.0, 1.0, 0.0], triangle: Some(1) };
-    let bytes = Receivers { asked, blocks: vec![1], receivers: vec![receiver] }.encode().unwrap();
+    let asked = Asked {
+        distance: f64::INFINITY,
+        falloff: Falloff::None,
+        lights: Vec::new(),
+    };
+    let receiver = Receiver {
+        point: [0.0; 3],
+        normal: [0.0, 1.0, 0.0],
+        triangle: Some(1),
+    };
+    let bytes = Receivers {
+        asked,
+        blocks: vec![1],
+        receivers: vec![receiver],
+    }
+    .encode()
+    .unwrap();
     let digest = send(&c, "", &bytes).unwrap();
     let refused = submit(&c, &of(&c, scene, digest, "")).unwrap_err();
-    assert!(matches!(&refused, SubmitError::Spec(text) if text.contains("triangle 1")), "{refused}");
+    assert!(
+        matches!(&refused, SubmitError::Spec(text) if text.contains("triangle 1")),
+        "{refused}"
+    );
     // Receivers that are gone.
     let digest = send(&c, "", &of_blocks(&[3])).unwrap();
     let submission = of(&c, scene, digest, "");
     c.blobs.remove(&digest).unwrap();
     let refused = submit(&c, &submission).unwrap_err();
-    assert!(matches!(refused, SubmitError::Receivers(Fault::Unknown(_))), "{refused}");
+    assert!(
+        matches!(refused, SubmitError::Receivers(Fault::Unknown(_))),
+        "{refused}"
+    );
     // Too much for a user.
     let mut c = c;
     let c = loop {
@@ -243,7 +380,13 @@ fn what_is_no_job_of_receivers_is_refused() {
     };
     assert!(send(&c, "ada", &of_blocks(&[3])).is_ok());
     let refused = scenes::put_chunk(&c, "ada", &of_blocks(&[2])).unwrap_err();
-    assert!(matches!(refused, UploadError::Having(HavingError::Beyond(_))), "{refused}");
+    assert!(
+        matches!(refused, UploadError::Having(HavingError::Beyond(_))),
+        "{refused}"
+    );
     // Other jobs go on as before.
-    assert_eq!(jobs::summary(&c, two_tiles(&c, scene)).unwrap().tiles_total, 2);
+    assert_eq!(
+        jobs::summary(&c, two_tiles(&c, scene)).unwrap().tiles_total,
+        2
+    );
 }

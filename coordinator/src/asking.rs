@@ -66,7 +66,11 @@ pub(crate) fn has_sets(record: &JobRecord) -> Result<(), AskError> {
             "job {id} computes ambient occlusion and has no sets; `Fetch` gives its result"
         ))
     };
-    if specs::receivers(&record.spec).is_some() { Err(none()) } else { Ok(()) }
+    if specs::receivers(&record.spec).is_some() {
+        Err(none())
+    } else {
+        Ok(())
+    }
 }
 
 /// A job's record and its scene.
@@ -89,7 +93,11 @@ fn cell_at(pvs: &Pvs, v1::Point { x, y, z }: v1::Point) -> Result<u32, AskError>
 /// A cell that there is.
 fn cell_of(pvs: &Pvs, cell: u32) -> Result<u32, AskError> {
     let cells = pvs.cells();
-    let none = || AskError::Wrong(format!("there is no cell {cell}; the result has {cells}, from 0"));
+    let none = || {
+        AskError::Wrong(format!(
+            "there is no cell {cell}; the result has {cells}, from 0"
+        ))
+    };
     (cell < cells).then_some(cell).ok_or_else(none)
 }
 
@@ -98,7 +106,10 @@ fn nowhere() -> AskError {
 }
 
 /// The set of a cell.
-pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::QueryResponse, AskError> {
+pub(crate) fn query(
+    c: &Coordinator,
+    asked: &v1::QueryRequest,
+) -> Result<v1::QueryResponse, AskError> {
     use v1::query_request::From;
     let pvs = open(c, JobId(asked.job))?;
     let from = asked.from.ok_or_else(nowhere)?;
@@ -110,7 +121,11 @@ pub(crate) fn query(c: &Coordinator, asked: &v1::QueryRequest) -> Result<v1::Que
     if asked.objects {
         pvs.visible_objects(cell, &mut visible)?;
         pvs.undecided_objects(cell, &mut undecided)?;
-        let name = |id: &u32| pvs.objects().get(*id as usize).map_or_else(String::new, |o| o.name.clone());
+        let name = |id: &u32| {
+            pvs.objects()
+                .get(*id as usize)
+                .map_or_else(String::new, |o| o.name.clone())
+        };
         names = visible.iter().map(name).collect();
     } else {
         pvs.visible(cell, &mut visible)?;
@@ -147,7 +162,9 @@ pub(crate) fn why(
         )));
     }
     let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?.why(&pvs, scene, (cell, asked.triangle), is_gone).map_err(AskError::Unable)
+    answers(c)?
+        .why(&pvs, scene, (cell, asked.triangle), is_gone)
+        .map_err(AskError::Unable)
 }
 
 /// Counts wrong pixels. Stops when the asker `is_gone`.
@@ -163,7 +180,10 @@ pub(crate) fn measure(
         ..*asked
     };
     if asked.viewpoints > 1000 {
-        return Err(AskError::Wrong(format!("{} viewpoints are more than 1000", asked.viewpoints)));
+        return Err(AskError::Wrong(format!(
+            "{} viewpoints are more than 1000",
+            asked.viewpoints
+        )));
     }
     if !(8..=512).contains(&asked.resolution) {
         return Err(AskError::Wrong(format!(
@@ -181,11 +201,16 @@ pub(crate) fn measure(
     }
     let pvs = open(c, JobId(asked.job))?;
     let (_, scene) = scene(c, JobId(asked.job))?;
-    answers(c)?.measure(&pvs, scene, &asked, is_gone).map_err(AskError::Unable)
+    answers(c)?
+        .measure(&pvs, scene, &asked, is_gone)
+        .map_err(AskError::Unable)
 }
 
 fn answers(c: &Coordinator) -> Result<&dyn Answers, AskError> {
-    let none =
-        || AskError::Unable("the program that this coordinator is in answers no such questions".to_owned());
+    let none = || {
+        AskError::Unable(
+            "the program that this coordinator is in answers no such questions".to_owned(),
+        )
+    };
     c.answers.get().map(|answers| &**answers).ok_or_else(none)
 }

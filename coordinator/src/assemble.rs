@@ -10,8 +10,8 @@ use sightline_model::codec::{self, CodecError};
 use sightline_model::{ALGORITHM_VERSION, Granularity, JobSpec};
 use sightline_model::{CellSet, CellSets, TileOutput};
 use sightline_pvs::{
-    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Node, Object, PvsError, SET_ASIDE,
-    Source,
+    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Node, Object, PvsError,
+    SET_ASIDE, Source,
 };
 use sightline_viewcells::{CellBox, Division, Lattice, Outline, Tile, TileKind};
 
@@ -115,7 +115,11 @@ pub(crate) struct Parts {
 impl Parts {
     fn leaf(&self, number: u32) -> Leaf {
         let tile = TileIndex(number);
-        Leaf { tile, output: self.outputs[tile.at()], cells: self.work.plan.tiles[tile.at()].cells }
+        Leaf {
+            tile,
+            output: self.outputs[tile.at()],
+            cells: self.work.plan.tiles[tile.at()].cells,
+        }
     }
 
     /// The cells of a leaf tile, whose sets name at most `items` items. Those of a tile that is not done are
@@ -126,7 +130,13 @@ impl Parts {
             return leaf.read(blobs, items);
         }
         let (tile, mut sets) = (&self.work.plan.tiles[leaf.tile.at()], CellSets::default());
-        empty_cells(&self.work.spec.division, &self.work.lattice, &tile.cell, tile.depth, &mut sets);
+        empty_cells(
+            &self.work.spec.division,
+            &self.work.lattice,
+            &tile.cell,
+            tile.depth,
+            &mut sets,
+        );
         Ok(sets)
     }
 }
@@ -143,7 +153,10 @@ struct Leaf {
 impl Leaf {
     /// Reads the tile's cells, whose sets name at most `items` items.
     fn read(self, blobs: &dyn Blobs, items: u32) -> Result<CellSets, AssembleError> {
-        let wrong = |reason| AssembleError::Tile { tile: self.tile, reason };
+        let wrong = |reason| AssembleError::Tile {
+            tile: self.tile,
+            reason,
+        };
         let Some(digest) = self.output.digest() else {
             return Err(wrong("it is not done"));
         };
@@ -161,18 +174,30 @@ impl Leaf {
 /// Builds the result of a complete job and stores it; returns its digest and length.
 pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
     let mut file = c.blobs.put_stream()?;
-    let bytes = write(c, parts, &mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file))?;
+    let bytes = write(
+        c,
+        parts,
+        &mut BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file),
+    )?;
     Ok((file.finish(None)?, bytes))
 }
 
 /// Writes the `.pvs` file of a job and returns its length. Cells of tiles that are not done or were set aside
 /// show everything, as undecided. The result of a job of ambient occlusion is no such file.
-pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Result<u64, AssembleError> {
+pub(crate) fn write(
+    c: &Coordinator,
+    parts: &Parts,
+    out: &mut impl Write,
+) -> Result<u64, AssembleError> {
     if let Some(ambient) = &parts.work.spec.ambient {
         return Ok(openness::write(c, ambient, &parts.outputs, out)?);
     }
     let (scene, blobs) = (facts(c, &parts.work.spec.scene)?, &*c.blobs);
-    let most = most_items(&parts.work.spec, scene.triangles, scene.objects.len() as u32);
+    let most = most_items(
+        &parts.work.spec,
+        scene.triangles,
+        scene.objects.len() as u32,
+    );
     let leaves = || parts.work.plan.leaves().map(|n| parts.leaf(n));
     // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
     // tile: keeping all tiles in memory would cost more than the second reading.
@@ -182,7 +207,10 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
     let mut statistics = Statistics::default();
     for part in &parts.work.plan.outline {
         match *part {
-            Outline::Split(s) => nodes.push(pvs_node(sightline_model::Node::Split(s), &parts.work.lattice)),
+            Outline::Split(s) => nodes.push(pvs_node(
+                sightline_model::Node::Split(s),
+                &parts.work.lattice,
+            )),
             Outline::Leaf(number) => {
                 let sets = match kept.take() {
                     Some(sets) => sets,
@@ -198,11 +226,15 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
     let items = items(c, &parts.work.spec)?;
     // The visible set of every cell of a tile that was set aside; stand-ins do not repeat it for every cell.
     let all: Vec<u32> = match &items {
-        None => (0..scene.triangles).filter(|t| scene.kinds.kind(*t).shows()).collect(),
+        None => (0..scene.triangles)
+            .filter(|t| scene.kinds.kind(*t).shows())
+            .collect(),
         Some(Items::Clusters(all)) => (0..all.len() as u32).collect(),
         Some(Items::Objects { .. }) => (0..scene.objects.len() as u32).collect(),
     };
-    let set_aside = leaves().filter(|l| matches!(l.output, Output::SetAside(_))).count();
+    let set_aside = leaves()
+        .filter(|l| matches!(l.output, Output::SetAside(_)))
+        .count();
     let objects = scene
         .objects
         .iter()
@@ -214,10 +246,18 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
                 primitive: s.primitive,
                 instance: s.instance,
             });
-            Object { name: o.name.clone(), first: o.first, count: o.count, source }
+            Object {
+                name: o.name.clone(),
+                first: o.first,
+                count: o.count,
+                source,
+            }
         })
         .collect();
-    let tree = CellTree::new(parts.work.spec.view_box.corners().map(|c| c.to_array()), nodes)?;
+    let tree = CellTree::new(
+        parts.work.spec.view_box.corners().map(|c| c.to_array()),
+        nodes,
+    )?;
     let cells = tree.cells();
     let mut builder = Builder::new(Header {
         triangles: scene.triangles,
@@ -229,7 +269,13 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
     if let Some(items) = &items {
         builder.set_items(items)?;
     }
-    if let Some(region) = parts.work.spec.viewpoints.as_ref().and_then(|marks| marks.region()) {
+    if let Some(region) = parts
+        .work
+        .spec
+        .viewpoints
+        .as_ref()
+        .and_then(|marks| marks.region())
+    {
         builder.set_region(region.encode());
     }
     let mut pairs = PairJoin::new(&parts.work.spec, &parts.work.lattice, cells);
@@ -240,7 +286,10 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
     }
     for leaf in leaves() {
         let aside = !matches!(leaf.output, Output::Done(_));
-        let wrong = |reason| AssembleError::Tile { tile: leaf.tile, reason };
+        let wrong = |reason| AssembleError::Tile {
+            tile: leaf.tile,
+            reason,
+        };
         let mut sets = match kept.take() {
             Some(sets) => sets,
             None => parts.read(leaf.tile.0, blobs, most)?,
@@ -250,18 +299,28 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
         }
         let shown = sets.cells.iter().map(|cell| match aside {
             // Triangles of a failed tile were neither seen nor proved hidden.
-            true => Cell { visible: &all, undecided: &all, flags: SET_ASIDE },
+            true => Cell {
+                visible: &all,
+                undecided: &all,
+                flags: SET_ASIDE,
+            },
             false => {
                 let undecided = cell.decision.as_ref().map_or(&[][..], |d| &d.undecided);
                 let flags = if cell.unreached { NOT_REACHED } else { 0 };
-                Cell { visible: &cell.visible, undecided, flags }
+                Cell {
+                    visible: &cell.visible,
+                    undecided,
+                    flags,
+                }
             }
         });
         builder.push_cells(&shown.collect::<Vec<_>>())?;
         for cell in &sets.cells {
             if parts.work.spec.certificates {
                 let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
-                builder.push_certificate(evidence).map_err(|e| of_disk(blobs, e))?;
+                builder
+                    .push_certificate(evidence)
+                    .map_err(|e| of_disk(blobs, e))?;
             }
             if parts.work.spec.sampling.contributions {
                 let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
@@ -275,8 +334,14 @@ pub(crate) fn write(c: &Coordinator, parts: &Parts, out: &mut impl Write) -> Res
             {
                 return Err(wrong("its pairs are those of another number of cells"));
             }
-            let boxes = boxes(&parts.work.plan.tiles[leaf.tile.0 as usize].cell, &sets.nodes);
-            boxes.iter().zip(&sets.cells).for_each(|(at, cell)| join.add_cell(at, !cell.unreached, aside));
+            let boxes = boxes(
+                &parts.work.plan.tiles[leaf.tile.0 as usize].cell,
+                &sets.nodes,
+            );
+            boxes
+                .iter()
+                .zip(&sets.cells)
+                .for_each(|(at, cell)| join.add_cell(at, !cell.unreached, aside));
         }
     }
     if let Some(pairs) = &pairs {
@@ -299,14 +364,19 @@ pub(crate) fn most_items(spec: &JobSpec, triangles: u32, objects: u32) -> u32 {
 /// What the sets of a job name; `None` for triangles.
 fn items(c: &Coordinator, spec: &JobSpec) -> Result<Option<Items>, AssembleError> {
     let scene = || -> Result<Scene, AssembleError> {
-        Ok(Scene::from_blob("stored scene", &c.blobs.read(&spec.scene)?)?)
+        Ok(Scene::from_blob(
+            "stored scene",
+            &c.blobs.read(&spec.scene)?,
+        )?)
     };
     Ok(match spec.sampling.granularity {
         Granularity::Triangles => None,
         Granularity::Clusters => Some(Items::Clusters(clusters(&scene()?))),
         Granularity::Objects => {
             let scene = scene()?;
-            Some(Items::Objects { never: (0..scene.len()).filter(|t| !scene.shows(*t)).collect() })
+            Some(Items::Objects {
+                never: (0..scene.len()).filter(|t| !scene.shows(*t)).collect(),
+            })
         }
     })
 }
@@ -319,7 +389,10 @@ fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
     };
     let all = f64::from(hits.viewpoints) * f64::from(hits.lines);
     let of = |[hit, most]: &[u32; 2]| {
-        Contribution::new(f64::from(*hit) / all, f64::from(*most) / f64::from(hits.lines))
+        Contribution::new(
+            f64::from(*hit) / all,
+            f64::from(*most) / f64::from(hits.lines),
+        )
     };
     (hits.counts.len() == items).then(|| hits.counts.iter().map(of).collect())
 }
@@ -397,9 +470,10 @@ fn empty_cells(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut 
 
 fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
     match node {
-        sightline_model::Node::Split(s) => {
-            Node::Split { axis: s.axis as u8, at: lattice.coordinate(s.axis, s.at) }
-        }
+        sightline_model::Node::Split(s) => Node::Split {
+            axis: s.axis as u8,
+            at: lattice.coordinate(s.axis, s.at),
+        },
         sightline_model::Node::Cell => Node::Leaf,
     }
 }
@@ -423,7 +497,12 @@ fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> St
         "samples": samples,
         "tiles_set_aside": set_aside,
     });
-    let open = parts.work.plan.leaves().filter(|n| parts.outputs[*n as usize] == Output::Open).count();
+    let open = parts
+        .work
+        .plan
+        .leaves()
+        .filter(|n| parts.outputs[*n as usize] == Output::Open)
+        .count();
     if open > 0 {
         info["tiles_open"] = open.into();
     }
@@ -446,8 +525,9 @@ fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> St
         };
         let counts: Vec<_> = kinds.counts().into_iter().map(count).collect();
         let rules = kinds.rules().iter();
-        let rules: Vec<_> =
-            rules.map(|r| serde_json::json!({"kind": r.kind.name(), "glob": r.glob})).collect();
+        let rules: Vec<_> = rules
+            .map(|r| serde_json::json!({"kind": r.kind.name(), "glob": r.glob}))
+            .collect();
         info["kinds"] = serde_json::json!({"counts": counts, "rules": rules});
         if kinds.alpha_textures() {
             info["kinds"]["alpha_textures"] = true.into();

@@ -50,7 +50,8 @@ impl PairJoin {
     /// Adds the next cell of the result.
     pub(crate) fn add_cell(&mut self, at: &CellBox, reached: bool, aside: bool) {
         let range = |a: usize| {
-            let [lo, hi, sides, units] = [at.lo[a], at.hi[a], self.sides[a], self.units[a]].map(u64::from);
+            let [lo, hi, sides, units] =
+                [at.lo[a], at.hi[a], self.sides[a], self.units[a]].map(u64::from);
             (lo * sides / units) as u32..(hi * sides).div_ceil(units) as u32
         };
         let [nx, ny, _] = self.sides;
@@ -68,7 +69,9 @@ impl PairJoin {
             let union = |table: &PairTable| {
                 let mut row = vec![0u64; table.row(0).len()];
                 for cell in cells {
-                    row.iter_mut().zip(table.row(*cell)).for_each(|(r, bits)| *r |= bits);
+                    row.iter_mut()
+                        .zip(table.row(*cell))
+                        .for_each(|(r, bits)| *r |= bits);
                 }
                 row
             };
@@ -77,7 +80,9 @@ impl PairJoin {
             let hidden = self.hidden.as_ref().map(|hidden| {
                 let mut row = vec![u64::MAX; hidden.row(0).len()];
                 for cell in cells {
-                    row.iter_mut().zip(hidden.row(*cell)).for_each(|(r, bits)| *r &= bits);
+                    row.iter_mut()
+                        .zip(hidden.row(*cell))
+                        .for_each(|(r, bits)| *r &= bits);
                 }
                 row
             });
@@ -87,7 +92,9 @@ impl PairJoin {
                 if !reached_a && !reached_b && a != b {
                     continue;
                 }
-                let is_hidden = hidden.as_ref().is_some_and(|row| others.iter().all(|c| has(row, *c)));
+                let is_hidden = hidden
+                    .as_ref()
+                    .is_some_and(|row| others.iter().all(|c| has(row, *c)));
                 let is_seen = a == b || others.iter().any(|c| has(&seen, *c));
                 let open = aside_a || aside_b || (hidden.is_some() && !is_seen);
                 if a == b || (!is_hidden && (is_seen || open)) {
@@ -98,6 +105,9 @@ impl PairJoin {
                 }
             }
         }
-        Ok(CellPairs { visible, undecided: Some(undecided).filter(|u| u.pairs() > 0) })
+        Ok(CellPairs {
+            visible,
+            undecided: Some(undecided).filter(|u| u.pairs() > 0),
+        })
     }
 }

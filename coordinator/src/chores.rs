@@ -67,7 +67,9 @@ fn outcome(
 ) -> Result<Option<Event>, StoreError> {
     let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
     match command {
-        Command::Bind(id, profile) => Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?))),
+        Command::Bind(id, profile) => {
+            Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?)))
+        }
         Command::Start(id) => {
             let record = c.store.set_job_state(
                 *id,
@@ -78,24 +80,56 @@ fn outcome(
             c.happened(Happening::of_job(Kind::Job, *id, "the job is running"));
             changed(record)
         }
-        Command::Fail { job, tile, worker, reason } => {
+        Command::Fail {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
             let on = c.store.fail_tile(*job, *tile, worker, reason)?;
             // What the tile failed on may be in them.
             c.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
-            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, dead: None }))
+            Ok(Some(Event::FailureRecorded {
+                job: *job,
+                tile: *tile,
+                on,
+                reason,
+                dead: None,
+            }))
         }
         // The next leader continues with the outcomes of a dead one.
-        Command::CountDeath { job, tile, worker, reason } => {
+        Command::CountDeath {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
             let on = c.store.count_death(*job, *tile, worker, reason)?;
             let (reason, dead) = (reason.clone(), Some(worker.clone()));
-            Ok(Some(Event::FailureRecorded { job: *job, tile: *tile, on, reason, dead }))
+            Ok(Some(Event::FailureRecorded {
+                job: *job,
+                tile: *tile,
+                on,
+                reason,
+                dead,
+            }))
         }
-        Command::CancelDeath { job, tile, worker, reason } => {
+        Command::CancelDeath {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
             c.store.forget_failure(*job, *tile, worker, reason)?;
             Ok(None)
         }
-        Command::SetAside { job, work, tiles, reason } => {
+        Command::SetAside {
+            job,
+            work,
+            tiles,
+            reason,
+        } => {
             for &tile in tiles {
                 let made = stand_in(c, &work.spec, &work.lattice, &work.plan.tiles[tile.at()]);
                 let (digest, bytes) = match made {
@@ -105,39 +139,75 @@ fn outcome(
                         return Ok(Some(Event::Refused(command.clone())));
                     }
                 };
-                match c.store.set_aside_tile(*job, tile, digest, bytes, std::slice::from_ref(reason)) {
+                match c.store.set_aside_tile(
+                    *job,
+                    tile,
+                    digest,
+                    bytes,
+                    std::slice::from_ref(reason),
+                ) {
                     Ok(()) => {
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
                         c.metrics.tile_set_aside();
                         let text = format!("tile {tile} {text} ({reason})");
                         let what = Happening::of_job(Kind::SetAside, *job, text);
-                        c.happened(Happening { tile: Some(tile), ..what });
+                        c.happened(Happening {
+                            tile: Some(tile),
+                            ..what
+                        });
                     }
                     // A late result has come in between; the machine hears of it.
                     Err(StoreError::TileNotOpen { .. }) => {}
                     Err(e) => return Err(e),
                 }
-                chores.extend(tell(c, Event::SetAside { job: *job, tile, digest }));
+                chores.extend(tell(
+                    c,
+                    Event::SetAside {
+                        job: *job,
+                        tile,
+                        digest,
+                    },
+                ));
             }
             Ok(None)
         }
-        Command::Confirm { job, tile, digest, worker } => {
-            let check = TileCheck { worker: worker.clone(), at_ms: c.now().unix_ms };
+        Command::Confirm {
+            job,
+            tile,
+            digest,
+            worker,
+        } => {
+            let check = TileCheck {
+                worker: worker.clone(),
+                at_ms: c.now().unix_ms,
+            };
             c.store.confirm_tile(*job, *tile, *digest, check)?;
             Ok(None)
         }
-        Command::Quarantine { workers, condemned, reason } => {
+        Command::Quarantine {
+            workers,
+            condemned,
+            reason,
+        } => {
             invalidating::condemn(c, workers, *condemned, reason, chores)?;
             Ok(None)
         }
         Command::FailJob(id, reason) => {
             // Submitted again, the job begins from nothing.
             c.crews.outcomes.sweep(|job| job != *id);
-            let failed = JobState::Failed { reason: reason.clone() };
+            let failed = JobState::Failed {
+                reason: reason.clone(),
+            };
             let at = retention_stamp::end_time(c);
-            let record = c.store.set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
-            c.happened(Happening::of_job(Kind::Job, *id, format!("the job has failed: {reason}")));
+            let record =
+                c.store
+                    .set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
+            c.happened(Happening::of_job(
+                Kind::Job,
+                *id,
+                format!("the job has failed: {reason}"),
+            ));
             changed(record)
         }
     }

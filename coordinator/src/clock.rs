@@ -24,8 +24,13 @@ pub struct SystemClock;
 
 impl Clock for SystemClock {
     fn now(&self) -> Moment {
-        let unix_ms = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
-        Moment { at: Instant::now(), unix_ms }
+        let unix_ms = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .map_or(0, |d| d.as_millis() as u64);
+        Moment {
+            at: Instant::now(),
+            unix_ms,
+        }
     }
 }
 
@@ -44,7 +49,10 @@ impl ManualClock {
     /// Moves the clock forward.
     pub fn advance(&self, by: Duration) {
         let mut now = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *now = Moment { at: now.at + by, unix_ms: now.unix_ms + by.as_millis() as u64 };
+        *now = Moment {
+            at: now.at + by,
+            unix_ms: now.unix_ms + by.as_millis() as u64,
+        };
     }
 }
 

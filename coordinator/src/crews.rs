@@ -93,7 +93,11 @@ impl Room {
 
     /// Passes items to a helper. One with a full mailbox does not get them, and has to go.
     pub(crate) fn pass(&self, member: u64, take: Take) {
-        let sent = self.helpers().mailboxes.get(&member).map(|mailbox| mailbox.try_send(take));
+        let sent = self
+            .helpers()
+            .mailboxes
+            .get(&member)
+            .map(|mailbox| mailbox.try_send(take));
         if sent.is_some_and(|sent| sent.is_err()) {
             self.leave(member);
         }
@@ -108,7 +112,11 @@ impl Room {
 impl Crews {
     /// No crews, and the outcomes of earlier ones.
     pub(crate) fn new(outcomes: Outcomes) -> Self {
-        Self { outcomes, rooms: Mutex::default(), turn: Mutex::default() }
+        Self {
+            outcomes,
+            rooms: Mutex::default(),
+            turn: Mutex::default(),
+        }
     }
 
     /// Waits for the turn to open or close a crew.
@@ -117,7 +125,11 @@ impl Crews {
     }
 
     /// Whether the tile of this lease has a crew under another lease that is still valid.
-    pub(crate) fn is_led_by_another(&self, lease: &Lease, is_valid: impl Fn(&Lease) -> bool) -> bool {
+    pub(crate) fn is_led_by_another(
+        &self,
+        lease: &Lease,
+        is_valid: impl Fn(&Lease) -> bool,
+    ) -> bool {
         let rooms = self.rooms();
         let room = rooms.get(&(lease.job, lease.tile));
         room.is_some_and(|room| room.lease != *lease && is_valid(&room.lease))
@@ -143,14 +155,19 @@ impl Crews {
 
     /// The crew that is led under a lease.
     pub(crate) fn find(&self, lease: &Lease) -> Option<Arc<Room>> {
-        self.rooms().get(&(lease.job, lease.tile)).filter(|room| room.lease == *lease).cloned()
+        self.rooms()
+            .get(&(lease.job, lease.tile))
+            .filter(|room| room.lease == *lease)
+            .cloned()
     }
 
     /// Ends a crew; returns whether it was still the tile's.
     pub(crate) fn close(&self, room: &Arc<Room>) -> bool {
         room.is_over.send_replace(true);
         let mut rooms = self.rooms();
-        let is_current = rooms.get(&room.tile()).is_some_and(|r| Arc::ptr_eq(r, room));
+        let is_current = rooms
+            .get(&room.tile())
+            .is_some_and(|r| Arc::ptr_eq(r, room));
         if is_current {
             rooms.remove(&room.tile());
         }

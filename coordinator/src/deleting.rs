@@ -76,10 +76,16 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
     }
     forget_scene(c, &was.record);
     c.crews.outcomes.sweep(|other| other != id);
-    *c.last_partial.lock().unwrap_or_else(PoisonError::into_inner) = Last::default();
+    *c.last_partial
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner) = Last::default();
     *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
     c.watched().changed(id, true);
     tracing::info!("job {id} is deleted");
-    c.happened(Happening::of_job(Kind::Job, id, format!("the job ({}) is deleted", was.record.name)));
+    c.happened(Happening::of_job(
+        Kind::Job,
+        id,
+        format!("the job ({}) is deleted", was.record.name),
+    ));
     Ok(was)
 }

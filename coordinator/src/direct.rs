@@ -31,8 +31,14 @@ pub(crate) fn reading(c: &Coordinator, digest: &Digest, bytes: u64) -> Option<Ad
 ///
 /// # Errors
 /// When the store has no keys to sign with.
-pub(crate) fn writing(c: &Coordinator, staged: &Staged, most: u64) -> Result<Option<Address>, BlobError> {
-    let Some(direct) = c.blobs.direct() else { return Ok(None) };
+pub(crate) fn writing(
+    c: &Coordinator,
+    staged: &Staged,
+    most: u64,
+) -> Result<Option<Address>, BlobError> {
+    let Some(direct) = c.blobs.direct() else {
+        return Ok(None);
+    };
     if staged.bytes > most || !c.lock().machine.is_leased(&staged.lease) {
         return Ok(None);
     }

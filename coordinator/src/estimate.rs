@@ -62,40 +62,75 @@ pub(crate) fn estimate(
     let spec = &submission.spec;
     let plan = submit::plan(spec)?;
     let cells = cells_total(spec, &plan);
-    let known = match c.store.job_by_request(&owned_request(&submission.request_id, &submission.owner))? {
+    let known = match c
+        .store
+        .job_by_request(&owned_request(&submission.request_id, &submission.owner))?
+    {
         Some(job) => Some(job),
-        None => c.store.job_by_key(&owned_key(spec.key(), &submission.owner))?,
+        None => c
+            .store
+            .job_by_key(&owned_key(spec.key(), &submission.owner))?,
     };
-    let answers = |job: &JobRecord| !matches!(job.state.phase(), JobPhase::Failed | JobPhase::Cancelled);
-    let existing = known.filter(answers).map(|job| jobs::summary(c, job.id)).transpose()?;
+    let answers =
+        |job: &JobRecord| !matches!(job.state.phase(), JobPhase::Failed | JobPhase::Cancelled);
+    let existing = known
+        .filter(answers)
+        .map(|job| jobs::summary(c, job.id))
+        .transpose()?;
     let (jobs_before, workers) = {
         let scheduling = c.lock();
         let machine = &scheduling.machine;
         let before = |id: &JobId| {
             machine.job(*id).is_some_and(|job| {
-                let equal = job.record.priority == submission.priority && job.record.user == submission.user;
-                let answers = existing.as_ref().is_some_and(|answer| answer.record.id == *id);
+                let equal = job.record.priority == submission.priority
+                    && job.record.user == submission.user;
+                let answers = existing
+                    .as_ref()
+                    .is_some_and(|answer| answer.record.id == *id);
                 job.runs()
                     && job.open() > 0
                     && !answers
                     && (job.record.priority > submission.priority || equal)
             })
         };
-        (machine.job_ids().iter().filter(|id| before(id)).count() as u32, machine.workers())
+        (
+            machine.job_ids().iter().filter(|id| before(id)).count() as u32,
+            machine.workers(),
+        )
     };
-    let cost =
-        (cells > 0).then(|| finished(c, caller, spec)).transpose()?.and_then(|jobs| cost(&jobs, cells));
-    Ok(Estimate { tiles: plan.tiles.len() as u32, cells, existing, jobs_before, workers, cost })
+    let cost = (cells > 0)
+        .then(|| finished(c, caller, spec))
+        .transpose()?
+        .and_then(|jobs| cost(&jobs, cells));
+    Ok(Estimate {
+        tiles: plan.tiles.len() as u32,
+        cells,
+        existing,
+        jobs_before,
+        workers,
+        cost,
+    })
 }
 
 /// The finished jobs of the same method and sampler that a caller may see.
-fn finished(c: &Coordinator, caller: &Caller, spec: &JobSpec) -> Result<Vec<Finished>, SubmitError> {
+fn finished(
+    c: &Coordinator,
+    caller: &Caller,
+    spec: &JobSpec,
+) -> Result<Vec<Finished>, SubmitError> {
     let (records, _) = c.store.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
     let mut jobs = Vec::new();
-    for record in records.into_iter().filter(|record| caller.sees(&record.owner)) {
-        let JobState::Done { bytes, .. } = record.state else { continue };
+    for record in records
+        .into_iter()
+        .filter(|record| caller.sees(&record.owner))
+    {
+        let JobState::Done { bytes, .. } = record.state else {
+            continue;
+        };
         // A specification of another version tells nothing about this one.
-        let Ok(other) = specs::planned(&*c.blobs, &record.spec) else { continue };
+        let Ok(other) = specs::planned(&*c.blobs, &record.spec) else {
+            continue;
+        };
         let of_a_kind = |s: &JobSpec| {
             let boxes = matches!(s.division, Division::Tree(_));
             let how = (s.method, s.certificates, s.sampling.sampler);
@@ -109,7 +144,12 @@ fn finished(c: &Coordinator, caller: &Caller, spec: &JobSpec) -> Result<Vec<Fini
             continue;
         }
         let like = other.scene == spec.scene && same(&other.sampling, &spec.sampling);
-        jobs.push(Finished { like, cells: sum.cells_done, millis: sum.tile_millis, bytes });
+        jobs.push(Finished {
+            like,
+            cells: sum.cells_done,
+            millis: sum.tile_millis,
+            bytes,
+        });
     }
     Ok(jobs)
 }
@@ -133,7 +173,12 @@ fn cost(jobs: &[Finished], cells: u64) -> Option<Cost> {
         Some([*all.first()?, *all.get(all.len() / 2)?, *all.last()?])
     };
     let (millis, bytes) = (of(&|job| job.millis)?, of(&|job| job.bytes)?);
-    Some(Cost { jobs: used.len() as u32, same_scene, millis, bytes })
+    Some(Cost {
+        jobs: used.len() as u32,
+        same_scene,
+        millis,
+        bytes,
+    })
 }
 
 #[cfg(test)]
@@ -142,15 +187,31 @@ mod tests {
 
     #[test]
     fn jobs_on_the_same_scene_count_before_others() {
-        let job = |like, cells, millis| Finished { like, cells, millis, bytes: 10 * millis };
+        let job = |like, cells, millis| Finished {
+            like,
+            cells,
+            millis,
+            bytes: 10 * millis,
+        };
         assert_eq!(cost(&[], 8), None);
         let others = [job(false, 10, 100), job(false, 1, 2), job(false, 5, 20)];
         let found = cost(&others, 10).unwrap();
         assert_eq!((found.jobs, found.same_scene), (3, false));
-        assert_eq!((found.millis, found.bytes), ([20, 40, 100], [200, 400, 1000]));
+        assert_eq!(
+            (found.millis, found.bytes),
+            ([20, 40, 100], [200, 400, 1000])
+        );
         let found = cost(&[job(false, 1, 1000), job(true, 4, 8)], 8).unwrap();
-        assert_eq!((found.jobs, found.same_scene, found.millis), (1, true, [16, 16, 16]));
-        let most = [Finished { like: true, cells: 1, millis: u64::MAX, bytes: 0 }];
+        assert_eq!(
+            (found.jobs, found.same_scene, found.millis),
+            (1, true, [16, 16, 16])
+        );
+        let most = [Finished {
+            like: true,
+            cells: 1,
+            millis: u64::MAX,
+            bytes: 0,
+        }];
         assert_eq!(cost(&most, 9).unwrap().millis[0], u64::MAX);
     }
 }

@@ -33,7 +33,9 @@ fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
 /// Assembles a job's result and ends the job.
 pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     // Absent when it was cancelled in the meantime.
-    let Some(parts) = parts(c, id) else { return Vec::new() };
+    let Some(parts) = parts(c, id) else {
+        return Vec::new();
+    };
     let begun = Begun::now();
     let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
     let assembled = if parts.work.plan.leaves().all(aside) {
@@ -41,7 +43,11 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     } else {
         // A panic must not leave the job half ended.
         let assembled = catch_unwind(AssertUnwindSafe(|| assemble(c, &parts)));
-        let bytes = assembled.as_ref().ok().and_then(|made| made.as_ref().ok()).map(|(_, bytes)| *bytes);
+        let bytes = assembled
+            .as_ref()
+            .ok()
+            .and_then(|made| made.as_ref().ok())
+            .map(|(_, bytes)| *bytes);
         c.spans.assembled(id, begun, bytes);
         match assembled {
             Ok(Err(e)) if e.passes() => {
@@ -50,15 +56,20 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
             }
             Ok(Err(e)) if e.is_lost() => return do_without(c, id, &parts, &e),
             Ok(r) => r.map_err(|e| e.to_string()),
-            Err(_) => Err("assembling the result panicked; the coordinator's log says where".to_owned()),
+            Err(_) => {
+                Err("assembling the result panicked; the coordinator's log says where".to_owned())
+            }
         }
     };
     // Until the machine has heard of the end.
     let turn = c.turn();
     let now = retention_stamp::end_time(c);
     // Tiles may have been opened again, or computed again, while the result was assembled.
-    let now_there =
-        c.lock().machine.job(id).map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
+    let now_there = c
+        .lock()
+        .machine
+        .job(id)
+        .map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
     if now_there.as_ref() != Some(&parts.outputs) {
         return tell(c, Event::AssemblyDropped(id));
     }
@@ -71,7 +82,8 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
         Err(e) => {
             tracing::error!("job {id} has no result: {e}");
             let failed = JobState::Failed { reason: e };
-            c.store.set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
+            c.store
+                .set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
         }
     };
     let record = match ended {
@@ -91,11 +103,19 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
         }
     };
     if let JobState::Failed { reason } = &record.state {
-        c.happened(Happening::of_job(Kind::Job, id, format!("the job has failed: {reason}")));
+        c.happened(Happening::of_job(
+            Kind::Job,
+            id,
+            format!("the job has failed: {reason}"),
+        ));
     }
     if let JobState::Done { bytes, .. } = record.state {
         tracing::info!("job {id} is done, {bytes} bytes");
-        c.happened(Happening::of_job(Kind::Job, id, format!("the job is done, {bytes} bytes")));
+        c.happened(Happening::of_job(
+            Kind::Job,
+            id,
+            format!("the job is done, {bytes} bytes"),
+        ));
     }
     let done = matches!(record.state, JobState::Done { .. });
     let chores = tell(c, Event::JobChanged(Box::new(record)));
@@ -114,9 +134,19 @@ fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> V
     }
     let spec = &parts.work.spec;
     let mut chores = Vec::new();
-    let receivers = spec.ambient.as_ref().map(|ambient| Lacks::Receivers(ambient.receivers));
-    for lacks in [Some(Lacks::Scene(spec.scene)), receivers].into_iter().flatten() {
-        if !c.blobs.open_checked(&lacks.digest()).is_err_and(|e| e.is_lost()) {
+    let receivers = spec
+        .ambient
+        .as_ref()
+        .map(|ambient| Lacks::Receivers(ambient.receivers));
+    for lacks in [Some(Lacks::Scene(spec.scene)), receivers]
+        .into_iter()
+        .flatten()
+    {
+        if !c
+            .blobs
+            .open_checked(&lacks.digest())
+            .is_err_and(|e| e.is_lost())
+        {
             continue;
         }
         // Workers that have it do not ask for it, so this may be the first to find it lost.
@@ -139,13 +169,23 @@ fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> V
 }
 
 /// Opens the tiles again whose stored outputs are lost; `None` when none are.
-fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &AssembleError) -> Option<Vec<Chore>> {
+fn compute_again(
+    c: &Coordinator,
+    id: JobId,
+    outputs: &[Output],
+    e: &AssembleError,
+) -> Option<Vec<Chore>> {
     let lost = |output: &Output| {
         let digest = output.digest()?;
-        c.blobs.open_checked(&digest).is_err_and(|e| e.is_lost()).then_some(digest)
+        c.blobs
+            .open_checked(&digest)
+            .is_err_and(|e| e.is_lost())
+            .then_some(digest)
     };
-    let lost: Vec<(TileIndex, Digest)> =
-        (0u32..).zip(outputs).filter_map(|(at, output)| Some((TileIndex(at), lost(output)?))).collect();
+    let lost: Vec<(TileIndex, Digest)> = (0u32..)
+        .zip(outputs)
+        .filter_map(|(at, output)| Some((TileIndex(at), lost(output)?)))
+        .collect();
     if lost.is_empty() {
         return None;
     }
@@ -156,7 +196,11 @@ fn compute_again(c: &Coordinator, id: JobId, outputs: &[Output], e: &AssembleErr
         let _alone = c.no_commits();
         for (_, digest) in &lost {
             let is_broken = c.blobs.open_checked(digest).is_err_and(|e| e.is_broken());
-            if let Err(e) = if is_broken { c.blobs.remove(digest) } else { Ok(false) } {
+            if let Err(e) = if is_broken {
+                c.blobs.remove(digest)
+            } else {
+                Ok(false)
+            } {
                 tracing::warn!("{e}");
             }
         }
@@ -185,9 +229,12 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
     for id in ids {
         // Job by job, so that heartbeats get the lock in between.
         if let Some(job) = c.lock().machine.job(id) {
-            job.tiles.iter().filter_map(|t| t.output.digest()).for_each(|d| {
-                free.remove(&d);
-            });
+            job.tiles
+                .iter()
+                .filter_map(|t| t.output.digest())
+                .for_each(|d| {
+                    free.remove(&d);
+                });
         }
     }
     let ended = c.store.jobs().and_then(|jobs| {
@@ -197,12 +244,16 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
         };
         for job in jobs.iter().filter(|j| retriable(j)) {
             let tiles = c.store.tiles(job.id)?;
-            let is_whole = tiles.iter().all(|tile| matches!(tile.state, TileState::Done { .. }));
+            let is_whole = tiles
+                .iter()
+                .all(|tile| matches!(tile.state, TileState::Done { .. }));
             if job.state.phase() == JobPhase::Done && is_whole {
                 continue;
             }
             for tile in tiles {
-                if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } = tile.state {
+                if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } =
+                    tile.state
+                {
                     free.remove(&digest);
                 }
             }
@@ -214,7 +265,11 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
         tracing::warn!("the tile outputs of job {finished} are kept: {e}");
         return;
     }
-    for digest in outputs.iter().filter_map(Output::digest).filter(|d| free.contains(d)) {
+    for digest in outputs
+        .iter()
+        .filter_map(Output::digest)
+        .filter(|d| free.contains(d))
+    {
         if let Err(e) = c.blobs.remove(&digest) {
             tracing::warn!("{e}");
         }

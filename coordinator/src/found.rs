@@ -9,12 +9,15 @@ use crate::state::{Coordinator, Lacks};
 pub(crate) fn back(c: &Arc<Coordinator>, lacks: Lacks) {
     let _turn = c.lost_turn();
     let mut waiting = Vec::new();
-    c.lost.lock().unwrap_or_else(PoisonError::into_inner).retain(|job, of| {
-        if *of == lacks {
-            waiting.push(*job);
-        }
-        *of != lacks
-    });
+    c.lost
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .retain(|job, of| {
+            if *of == lacks {
+                waiting.push(*job);
+            }
+            *of != lacks
+        });
     for job in waiting {
         // Somebody may have resumed, cancelled or deleted it.
         if let Err(e) = jobs::resume(c, job) {

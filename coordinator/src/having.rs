@@ -34,7 +34,12 @@ pub(crate) fn turn_of<'a>(c: &'a Coordinator, owner: &str) -> Option<MutexGuard<
 
 /// Whether an owner may have this, too; nobody may have anything. Chunks that are no scene yet count, but for
 /// `known` bytes of them that become what is asked for.
-pub(crate) fn may_have(c: &Coordinator, owner: &str, more: Usage, known: u64) -> Result<(), HavingError> {
+pub(crate) fn may_have(
+    c: &Coordinator,
+    owner: &str,
+    more: Usage,
+    known: u64,
+) -> Result<(), HavingError> {
     decide(c, owner, more, known, Duration::ZERO)
 }
 
@@ -43,14 +48,34 @@ pub(crate) fn may_have(c: &Coordinator, owner: &str, more: Usage, known: u64) ->
 pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), HavingError> {
     if !c.uploads.has_room(owner) {
         let (user, most) = (owner.to_owned(), MAX_CHUNKS as u64);
-        let beyond = Beyond::Quota { user, what: "chunks that are no scene yet", most, wanted: most + 1 };
+        let beyond = Beyond::Quota {
+            user,
+            what: "chunks that are no scene yet",
+            most,
+            wanted: most + 1,
+        };
         c.metrics.refused(beyond.name());
         return Err(beyond.into());
     }
-    decide(c, owner, Usage { bytes, ..Usage::default() }, 0, COUNTED_EVERY)
+    decide(
+        c,
+        owner,
+        Usage {
+            bytes,
+            ..Usage::default()
+        },
+        0,
+        COUNTED_EVERY,
+    )
 }
 
-fn decide(c: &Coordinator, owner: &str, more: Usage, known: u64, old: Duration) -> Result<(), HavingError> {
+fn decide(
+    c: &Coordinator,
+    owner: &str,
+    more: Usage,
+    known: u64,
+    old: Duration,
+) -> Result<(), HavingError> {
     let quota = c.quotas.of(owner);
     if !is_bounded(&quota, owner) {
         return Ok(());
@@ -67,8 +92,14 @@ fn decide(c: &Coordinator, owner: &str, more: Usage, known: u64, old: Duration) 
             }
         }
     };
-    let sent = c.uploads.bytes(owner).saturating_add(c.unfinished.of(owner));
-    let chunks = Usage { bytes: sent.saturating_sub(known), ..Usage::default() };
+    let sent = c
+        .uploads
+        .bytes(owner)
+        .saturating_add(c.unfinished.of(owner));
+    let chunks = Usage {
+        bytes: sent.saturating_sub(known),
+        ..Usage::default()
+    };
     let within = has.and(chunks).and(more).within(&quota, owner);
     Ok(within.inspect_err(|beyond| c.metrics.refused(beyond.name()))?)
 }

@@ -32,7 +32,10 @@ enum Fault {
 
 /// Removes what is not kept. A fault is logged, and what it left is removed the next time.
 pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
-    if let Err(e) = old_jobs(c).and_then(|()| many_bytes(c)).and_then(|()| old_scenes(c)) {
+    if let Err(e) = old_jobs(c)
+        .and_then(|()| many_bytes(c))
+        .and_then(|()| old_scenes(c))
+    {
         tracing::warn!("what is too old is not removed yet: {e}");
     }
     if !ownership::may_remove(c) {
@@ -58,7 +61,9 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         Err(e) => tracing::warn!("blobs that nobody needs are not removed yet: {e}"),
     }
     // A blob whose file cannot be inspected counts as stored.
-    c.uploads.forget_removed(c.retention.grace, |chunk| c.blobs.has(chunk).unwrap_or(true));
+    c.uploads.forget_removed(c.retention.grace, |chunk| {
+        c.blobs.has(chunk).unwrap_or(true)
+    });
     // Outputs of workers that did not come to commit them.
     if let Some(direct) = c.blobs.direct()
         && c.store.may_change().is_ok()
@@ -67,7 +72,9 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         let is_old = |written| blob_age(c, Kind::Blobs, written, grace) == Age::Old;
         match direct.sweep(&is_old) {
             Ok(0) => {}
-            Ok(count) => tracing::info!("{count} outputs that were written and not committed are removed"),
+            Ok(count) => {
+                tracing::info!("{count} outputs that were written and not committed are removed")
+            }
             Err(e) => tracing::warn!("outputs that were not committed are not removed yet: {e}"),
         }
     }
@@ -79,14 +86,22 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
 fn blob_age(c: &Coordinator, kind: Kind, written: SystemTime, age: Duration) -> Age {
     // A server of files has another clock; buckets answer only requests whose clock is this close to theirs.
     let written = written.duration_since(UNIX_EPOCH).unwrap_or_default();
-    let written = written.saturating_add(OTHER_CLOCKS.min(age / 16)).as_millis();
+    let written = written
+        .saturating_add(OTHER_CLOCKS.min(age / 16))
+        .as_millis();
     let now = c.now();
-    c.retention_clock().age(kind, u64::try_from(written).unwrap_or(u64::MAX), age, now)
+    c.retention_clock()
+        .age(kind, u64::try_from(written).unwrap_or(u64::MAX), age, now)
 }
 
 /// Returns true if a blob is older than `age`. A blob whose time lies in the future has a wrong time, so
 /// its age counts from the first look at it.
-fn is_old_blob(c: &Coordinator, kind: Kind, (digest, written): (&Digest, SystemTime), age: Duration) -> bool {
+fn is_old_blob(
+    c: &Coordinator,
+    kind: Kind,
+    (digest, written): (&Digest, SystemTime),
+    age: Duration,
+) -> bool {
     match blob_age(c, kind, written, age) {
         Age::Unknown | Age::Young => false,
         Age::Old => true,
@@ -103,21 +118,27 @@ fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {
     match deleting::delete(c, job) {
         // Somebody was faster, or it is tried again.
         Ok(_)
-        | Err(JobError::Store(StoreError::UnknownJob { .. } | StoreError::IllegalTransition { .. })) => {
-            Ok(())
-        }
+        | Err(JobError::Store(
+            StoreError::UnknownJob { .. } | StoreError::IllegalTransition { .. },
+        )) => Ok(()),
         Err(e) => Err(e.into()),
     }
 }
 
 /// Returns the ended jobs with the times of their ends, ascending by number: times may be wrong.
 fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, Fault> {
-    let of = |job: JobRecord| job.finished_at_ms.filter(|_| job.state.phase().ended()).map(|at| (at, job));
+    let of = |job: JobRecord| {
+        job.finished_at_ms
+            .filter(|_| job.state.phase().ended())
+            .map(|at| (at, job))
+    };
     Ok(c.store.jobs()?.into_iter().filter_map(of).collect())
 }
 
 fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
-    let Some(keep) = c.retention.keep else { return Ok(()) };
+    let Some(keep) = c.retention.keep else {
+        return Ok(());
+    };
     let now = c.now();
     for (at, job) in ended(c)? {
         let age = c.retention_clock().age(Kind::Jobs, at, keep, now);
@@ -129,7 +150,9 @@ fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
 }
 
 fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
-    let Some(most) = c.retention.keep_bytes else { return Ok(()) };
+    let Some(most) = c.retention.keep_bytes else {
+        return Ok(());
+    };
     let mut scenes: BTreeMap<Digest, u64> = BTreeMap::new();
     for scene in c.store.scenes()? {
         scenes.insert(scene.digest, scene.bytes);
@@ -137,10 +160,15 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
     let ended = ended(c)?;
     let named: BTreeSet<Digest> = ended.iter().map(|(_, job)| job.scene).collect();
     // These do not go with a job.
-    let stays = scenes.iter().filter(|(scene, _)| !named.contains(*scene)).map(|(_, bytes)| *bytes);
+    let stays = scenes
+        .iter()
+        .filter(|(scene, _)| !named.contains(*scene))
+        .map(|(_, bytes)| *bytes);
     let stays = stays.fold(0, u64::saturating_add);
     if stays >= most {
-        tracing::warn!("scenes without ended jobs have {stays} bytes, more than are kept: no job is deleted");
+        tracing::warn!(
+            "scenes without ended jobs have {stays} bytes, more than are kept: no job is deleted"
+        );
         return Ok(());
     }
     // Jobs with the same result share its blob.
@@ -151,12 +179,18 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
         }
     }
     let of_results = results.values().map(|(bytes, _)| *bytes);
-    let mut sum = of_results.chain(scenes.values().copied()).fold(0, u64::saturating_add);
+    let mut sum = of_results
+        .chain(scenes.values().copied())
+        .fold(0, u64::saturating_add);
     for (_, job) in ended {
         if sum <= most {
             break;
         }
-        delete(c, job.id, "results and scenes have more bytes than are kept")?;
+        delete(
+            c,
+            job.id,
+            "results and scenes have more bytes than are kept",
+        )?;
         if let JobState::Done { result, bytes } = job.state
             && let Some((_, jobs)) = results.get_mut(&result)
         {
@@ -175,7 +209,9 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
 
 /// Scenes that no job names any more, and that were sent longer ago than jobs are kept.
 fn old_scenes(c: &Arc<Coordinator>) -> Result<(), Fault> {
-    let Some(keep) = c.retention.keep else { return Ok(()) };
+    let Some(keep) = c.retention.keep else {
+        return Ok(());
+    };
     for scene in c.store.scenes()? {
         let written = c.blobs.written(&scene.digest).map_err(KeepingError::from)?;
         // One whose blob is lost can only be sent again.

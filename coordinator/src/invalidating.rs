@@ -10,7 +10,9 @@ use crate::scheduler::{Event, Job};
 use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState};
+use crate::store::{
+    JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState,
+};
 
 /// Which results are meant.
 #[derive(Clone, Debug, Default)]
@@ -29,10 +31,17 @@ pub(crate) struct Which {
 
 impl Which {
     fn means(&self, record: &TileRecord) -> bool {
-        let TileState::Done { stats, .. } = &record.state else { return false };
+        let TileState::Done { stats, .. } = &record.state else {
+            return false;
+        };
         let timed = stats.at_ms == 0 || (self.from_ms..=self.to_ms).contains(&stats.at_ms);
         let named = self.tiles.is_empty() || self.tiles.contains(&record.tile);
-        timed && named && self.worker.as_ref().is_none_or(|name| stats.may_be_of(name))
+        timed
+            && named
+            && self
+                .worker
+                .as_ref()
+                .is_none_or(|name| stats.may_be_of(name))
     }
 }
 
@@ -56,7 +65,11 @@ pub(crate) fn condemn(
     chores.extend(tell(c, Event::Swept));
     for worker in workers {
         let at_ms = c.now().unix_ms;
-        let record = QuarantineRecord { worker: worker.clone(), at_ms, reason: reason.to_owned() };
+        let record = QuarantineRecord {
+            worker: worker.clone(),
+            at_ms,
+            reason: reason.to_owned(),
+        };
         c.store.quarantine(record)?;
         let text = format!(
             "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed \
@@ -79,7 +92,12 @@ pub(crate) fn unbelieved(
     let agreed = agreements(store, workers)?;
     let of_worker = |worker: &String| {
         let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
-        Which { worker: Some(worker.clone()), from_ms, to_ms: u64::MAX, ..Which::default() }
+        Which {
+            worker: Some(worker.clone()),
+            from_ms,
+            to_ms: u64::MAX,
+            ..Which::default()
+        }
     };
     let all: Vec<Which> = workers.iter().map(of_worker).collect();
     let mut unbelieved = BTreeMap::new();
@@ -90,7 +108,11 @@ pub(crate) fn unbelieved(
                 || is_done(tile) && condemned == Some((job.id, tile.tile))
         };
         let tiles = store.tiles(job.id)?;
-        let tiles: BTreeSet<TileIndex> = tiles.iter().filter(|t| is_meant(t)).map(|t| t.tile).collect();
+        let tiles: BTreeSet<TileIndex> = tiles
+            .iter()
+            .filter(|t| is_meant(t))
+            .map(|t| t.tile)
+            .collect();
         if !tiles.is_empty() {
             unbelieved.insert(job.id, tiles);
         }
@@ -104,7 +126,9 @@ fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, 
     let mut last: BTreeMap<String, u64> = BTreeMap::new();
     for job in store.jobs()? {
         for tile in store.tiles(job.id)? {
-            let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else { continue };
+            let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else {
+                continue;
+            };
             for worker in workers {
                 let at = if check.worker == *worker {
                     check.at_ms
@@ -131,7 +155,11 @@ pub(crate) fn invalidate(
         Some(id) => {
             let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
             if let Some(&tile) = which.tiles.iter().find(|tile| tile.0 >= job.tiles) {
-                return Err(StoreError::UnknownTile { job: id, tile, tiles: job.tiles });
+                return Err(StoreError::UnknownTile {
+                    job: id,
+                    tile,
+                    tiles: job.tiles,
+                });
             }
             vec![job]
         }
@@ -139,8 +167,13 @@ pub(crate) fn invalidate(
     };
     let mut opened = BTreeMap::new();
     for job in jobs {
-        let tiles: BTreeSet<TileIndex> =
-            c.store.tiles(job.id)?.iter().filter(|tile| which.means(tile)).map(|tile| tile.tile).collect();
+        let tiles: BTreeSet<TileIndex> = c
+            .store
+            .tiles(job.id)?
+            .iter()
+            .filter(|tile| which.means(tile))
+            .map(|tile| tile.tile)
+            .collect();
         if !tiles.is_empty() {
             let id = job.id;
             opened.insert(id, open_again(c, job, tiles, true, chores)?);
@@ -176,7 +209,9 @@ fn open_again(
         && let Err(e) = c.blobs.open_checked(&part)
         && e.passes()
     {
-        return Err(StoreError::BlobWaits { what: e.to_string() });
+        return Err(StoreError::BlobWaits {
+            what: e.to_string(),
+        });
     }
     let again = |record: JobRecord| {
         let spec = spec.as_ref().map_err(String::clone)?;
@@ -208,7 +243,11 @@ fn open_again(
     };
     tracing::warn!("job {id}: {text}");
     c.happened(Happening::of_job(Kind::Job, id, text));
-    let Some(record) = c.store.job(id)?.filter(|record| !record.state.phase().ended()) else {
+    let Some(record) = c
+        .store
+        .job(id)?
+        .filter(|record| !record.state.phase().ended())
+    else {
         return Ok(opened);
     };
     match again(record) {
@@ -216,7 +255,9 @@ fn open_again(
         Err(reason) => {
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
             let failed = crate::store::JobState::Failed { reason };
-            let record = c.store.set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
+            let record = c
+                .store
+                .set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
             chores.extend(tell(c, Event::JobChanged(Box::new(record))));
         }
     }

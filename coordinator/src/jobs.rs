@@ -128,13 +128,24 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
         .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
         .unwrap_or(0);
     let trace = c.spans.trace_of(&record);
-    Ok(Summary::of_ended(record, &tiles, total, (workers, c.now().unix_ms), trace))
+    Ok(Summary::of_ended(
+        record,
+        &tiles,
+        total,
+        (workers, c.now().unix_ms),
+        trace,
+    ))
 }
 
 /// The summary of a job that has not ended, from the scheduler's totals.
 pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
     let now = c.now_plain();
-    let lacks = c.lost.lock().unwrap_or_else(PoisonError::into_inner).get(&id).copied();
+    let lacks = c
+        .lost
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .get(&id)
+        .copied();
     let scheduling = c.lock();
     let machine = &scheduling.machine;
     let job = machine.job(id)?;
@@ -170,7 +181,10 @@ pub(crate) struct Wanted {
 
 impl Wanted {
     fn is_all(&self) -> bool {
-        self.phases.is_empty() && self.name.is_empty() && self.user.is_empty() && self.scene.is_none()
+        self.phases.is_empty()
+            && self.name.is_empty()
+            && self.user.is_empty()
+            && self.scene.is_none()
     }
 
     fn matches(&self, job: &JobRecord) -> bool {
@@ -215,7 +229,11 @@ fn own_before(
     loop {
         let (page, older) = c.store.jobs_before(before, most)?;
         let first = page.first().map(|job| job.id);
-        own.extend(page.into_iter().rev().filter(|job| caller.sees(&job.owner) && wanted.matches(job)));
+        own.extend(
+            page.into_iter()
+                .rev()
+                .filter(|job| caller.sees(&job.owner) && wanted.matches(job)),
+        );
         match first.filter(|_| older && own.len() <= most) {
             Some(first) => before = first,
             None => {
@@ -242,7 +260,10 @@ pub(crate) fn teams(c: &Coordinator, job: JobId) -> Vec<Team> {
 pub(crate) fn result(c: &Coordinator, job: JobId) -> Result<Digest, JobError> {
     match record(c, job)?.state {
         JobState::Done { result, .. } => Ok(result),
-        state => Err(JobError::NoResult { job, phase: state.phase() }),
+        state => Err(JobError::NoResult {
+            job,
+            phase: state.phase(),
+        }),
     }
 }
 
@@ -266,7 +287,11 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
         return Ok(paused);
     }
     do_chores(c, tell(c, Event::Stopped(job)));
-    c.happened(Happening::of_job(Kind::Job, job, "tiles at work are stopped"));
+    c.happened(Happening::of_job(
+        Kind::Job,
+        job,
+        "tiles at work are stopped",
+    ));
     Ok(summary(c, job)?)
 }
 
@@ -278,16 +303,27 @@ pub(crate) fn resume(c: &Arc<Coordinator>, job: JobId) -> Result<Summary, JobErr
 
 /// What a person does with a job counts more than that it waits for its scene or its receivers.
 fn waits_no_more(c: &Coordinator, job: JobId) {
-    c.lost.lock().unwrap_or_else(PoisonError::into_inner).remove(&job);
+    c.lost
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .remove(&job);
 }
 
 /// Gives a job that has not ended another priority.
-pub(crate) fn prioritize(c: &Arc<Coordinator>, id: JobId, priority: i32) -> Result<Summary, JobError> {
+pub(crate) fn prioritize(
+    c: &Arc<Coordinator>,
+    id: JobId,
+    priority: i32,
+) -> Result<Summary, JobError> {
     let chores = {
         let _turn = c.turn();
         let record = c.store.prioritize_job(id, priority)?;
         tracing::info!("job {id} has priority {priority}");
-        c.happened(Happening::of_job(Kind::Job, id, format!("the job has priority {priority}")));
+        c.happened(Happening::of_job(
+            Kind::Job,
+            id,
+            format!("the job has priority {priority}"),
+        ));
         tell(c, Event::JobChanged(Box::new(record)))
     };
     do_chores(c, chores);
@@ -295,7 +331,12 @@ pub(crate) fn prioritize(c: &Arc<Coordinator>, id: JobId, priority: i32) -> Resu
 }
 
 /// Moves a job to another state.
-fn turn(c: &Arc<Coordinator>, id: JobId, from: &[JobPhase], to: JobState) -> Result<Summary, JobError> {
+fn turn(
+    c: &Arc<Coordinator>,
+    id: JobId,
+    from: &[JobPhase],
+    to: JobState,
+) -> Result<Summary, JobError> {
     let chores = turned(c, id, from, to)?;
     do_chores(c, chores);
     Ok(summary(c, id)?)

@@ -36,7 +36,9 @@ pub(crate) enum UploadError {
     #[error(transparent)]
     Receivers(#[from] ReceiversError),
     /// The list of chunks is longer than what is taken.
-    #[error("the chunks have {bytes} bytes together, and at most {most} are taken; split what they are of")]
+    #[error(
+        "the chunks have {bytes} bytes together, and at most {most} are taken; split what they are of"
+    )]
     TooLong {
         /// Bytes of all chunks of the list.
         bytes: u64,
@@ -126,7 +128,10 @@ pub(crate) fn announced(
             None => c.blobs.len(chunk)?.ok_or(UploadError::ChunkMissing)?,
         };
         if length > CHUNK_BYTES as u64 {
-            return Err(UploadError::LongChunk { bytes: length, most: CHUNK_BYTES as u64 });
+            return Err(UploadError::LongChunk {
+                bytes: length,
+                most: CHUNK_BYTES as u64,
+            });
         }
         lengths.insert(*chunk, length);
         bytes = bytes.saturating_add(length);
@@ -136,9 +141,16 @@ pub(crate) fn announced(
     }
     let sent: u64 = lengths.values().sum();
     if bytes > sent.saturating_mul(MAX_COPIES).max(FEW_BYTES) {
-        return Err(UploadError::Repeated { bytes, sent, most: MAX_COPIES });
+        return Err(UploadError::Repeated {
+            bytes,
+            sent,
+            most: MAX_COPIES,
+        });
     }
-    Ok(ListBytes { all: bytes, distinct: sent })
+    Ok(ListBytes {
+        all: bytes,
+        distinct: sent,
+    })
 }
 
 /// A whole of chunks.
@@ -151,7 +163,11 @@ pub(crate) struct Joined {
 }
 
 /// Writes stored chunks as one blob, and reads it.
-pub(crate) fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<Joined, UploadError> {
+pub(crate) fn join(
+    c: &Coordinator,
+    whole: Digest,
+    chunks: &[Digest],
+) -> Result<Joined, UploadError> {
     let was_there = c.blobs.has(&whole)? && chunks != [whole];
     let mut writer = c.blobs.put_stream()?;
     for chunk in chunks {
@@ -173,7 +189,11 @@ pub(crate) fn join(c: &Coordinator, whole: Digest, chunks: &[Digest]) -> Result<
         e @ BlobError::Mismatch { .. } => UploadError::Mismatch(e),
         e => UploadError::Blob(e),
     })?;
-    Ok(Joined { whole, bytes: c.blobs.read(&whole)?, was_there })
+    Ok(Joined {
+        whole,
+        bytes: c.blobs.read(&whole)?,
+        was_there,
+    })
 }
 
 impl Joined {
@@ -189,9 +209,16 @@ impl Joined {
 
 /// Removes the chunks of a whole, which are no longer needed, but for those that were there before their
 /// owner sent them; returns the others. A single chunk is the whole, which stays.
-pub(crate) fn forget_chunks(c: &Coordinator, owner: &str, whole: Digest, chunks: &[Digest]) -> Vec<Digest> {
+pub(crate) fn forget_chunks(
+    c: &Coordinator,
+    owner: &str,
+    whole: Digest,
+    chunks: &[Digest],
+) -> Vec<Digest> {
     let new = c.uploads.forget(owner, chunks);
-    new.iter().filter(|chunk| **chunk != whole).for_each(|chunk| remove(c, chunk));
+    new.iter()
+        .filter(|chunk| **chunk != whole)
+        .for_each(|chunk| remove(c, chunk));
     new
 }
 

@@ -46,7 +46,9 @@ pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Need>>, StoreErr
             all.entry(part).or_default().push(Need::Spec(job.id));
         }
         for (tile, digest) in outputs(store, &job)? {
-            all.entry(digest).or_default().push(Need::Output(job.id, tile));
+            all.entry(digest)
+                .or_default()
+                .push(Need::Output(job.id, tile));
         }
     }
     Ok(all)
@@ -168,7 +170,9 @@ pub fn verify(
     }
     for (digest, needs) in needed {
         if !present.contains(&digest) && !found.lost.contains_key(&digest) {
-            found.lost.insert(digest, (needs, "it is missing".to_owned()));
+            found
+                .lost
+                .insert(digest, (needs, "it is missing".to_owned()));
         }
     }
     Ok(found)

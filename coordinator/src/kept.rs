@@ -52,7 +52,11 @@ pub struct Retention {
 impl Default for Retention {
     fn default() -> Self {
         // A client that was interrupted can go on with its upload on the next day.
-        Self { keep: None, keep_bytes: None, grace: Duration::from_secs(24 * 3600) }
+        Self {
+            keep: None,
+            keep_bytes: None,
+            grace: Duration::from_secs(24 * 3600),
+        }
     }
 }
 

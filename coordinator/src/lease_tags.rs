@@ -50,7 +50,13 @@ impl LeaseTags {
     pub(crate) fn to_wire(&self, lease: &Lease, to: Use) -> v1::Lease {
         let Lease { job, tile, id } = *lease;
         let tag = self.tag(lease, to);
-        v1::Lease { job: job.0, tile: tile.0, epoch: id.epoch.0, lease: id.number, tag }
+        v1::Lease {
+            job: job.0,
+            tile: tile.0,
+            epoch: id.epoch.0,
+            lease: id.number,
+            tag,
+        }
     }
 
     /// Reads a lease whose tag is right.
@@ -58,9 +64,20 @@ impl LeaseTags {
     /// # Errors
     /// [`Forged`] for every other lease.
     pub(crate) fn check(&self, lease: &v1::Lease, to: Use) -> Result<Lease, Forged> {
-        let id = LeaseId { epoch: Epoch(lease.epoch), number: lease.lease };
-        let named = Lease { job: JobId(lease.job), tile: TileIndex(lease.tile), id };
-        if self.tag(&named, to) == lease.tag { Ok(named) } else { Err(Forged { lease: named }) }
+        let id = LeaseId {
+            epoch: Epoch(lease.epoch),
+            number: lease.lease,
+        };
+        let named = Lease {
+            job: JobId(lease.job),
+            tile: TileIndex(lease.tile),
+            id,
+        };
+        if self.tag(&named, to) == lease.tag {
+            Ok(named)
+        } else {
+            Err(Forged { lease: named })
+        }
     }
 
     fn tag(&self, lease: &Lease, to: Use) -> u64 {
@@ -87,7 +104,14 @@ mod tests {
     use super::*;
 
     fn lease(job: u64, tile: u32, epoch: u64, number: u64) -> Lease {
-        Lease { job: JobId(job), tile: TileIndex(tile), id: LeaseId { epoch: Epoch(epoch), number } }
+        Lease {
+            job: JobId(job),
+            tile: TileIndex(tile),
+            id: LeaseId {
+                epoch: Epoch(epoch),
+                number,
+            },
+        }
     }
 
     #[test]
@@ -97,23 +121,36 @@ mod tests {
         let given = lease(3, 5, 2, 7);
         let wire = tags.to_wire(&given, Use::Hold);
         assert_eq!(tags.check(&wire, Use::Hold), Ok(given));
-        assert_eq!(LeaseTags::new(&identity).check(&wire, Use::Hold), Ok(given), "a restart keeps the key");
+        assert_eq!(
+            LeaseTags::new(&identity).check(&wire, Use::Hold),
+            Ok(given),
+            "a restart keeps the key"
+        );
         let others = [
             v1::Lease { job: 4, ..wire },
             v1::Lease { tile: 6, ..wire },
             v1::Lease { epoch: 1, ..wire },
             v1::Lease { lease: 8, ..wire },
-            v1::Lease { tag: wire.tag ^ 1, ..wire },
+            v1::Lease {
+                tag: wire.tag ^ 1,
+                ..wire
+            },
             v1::Lease { tag: 0, ..wire },
             tags.to_wire(&given, Use::Help),
         ];
         for other in others {
             let refusal = tags.check(&other, Use::Hold).unwrap_err();
             let text = refusal.to_string();
-            assert!(text.contains(&format!("tile {} of job {}", other.tile, other.job)), "{text}");
+            assert!(
+                text.contains(&format!("tile {} of job {}", other.tile, other.job)),
+                "{text}"
+            );
         }
         let foreign = LeaseTags::new(&StoreIdentity::random().unwrap());
-        assert!(foreign.check(&wire, Use::Hold).is_err(), "a lease of another store");
+        assert!(
+            foreign.check(&wire, Use::Hold).is_err(),
+            "a lease of another store"
+        );
     }
 
     #[test]
@@ -122,8 +159,16 @@ mod tests {
         let mut random = SplitMix64::named(&[17]);
         for _ in 0..100_000 {
             let [job, tile, epoch, number] = std::array::from_fn(|_| random.bits() % 4);
-            let forged = v1::Lease { job, tile: tile as u32, epoch, lease: number, tag: random.bits() };
-            assert!(tags.check(&forged, Use::Hold).is_err() && tags.check(&forged, Use::Help).is_err());
+            let forged = v1::Lease {
+                job,
+                tile: tile as u32,
+                epoch,
+                lease: number,
+                tag: random.bits(),
+            };
+            assert!(
+                tags.check(&forged, Use::Hold).is_err() && tags.check(&forged, Use::Help).is_err()
+            );
         }
     }
 }

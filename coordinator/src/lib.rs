@@ -102,7 +102,7 @@ pub use lifecycle::{Config, OpenError};
 pub use limits::{Quota, QuotaError, Quotas, bytes};
 pub use scenes::TakeError;
 pub use services::{
-    ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError, ServeError, Tls,
-    TlsError, TlsFiles, serve, serve_http, serve_probes,
+    ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError,
+    ServeError, Tls, TlsError, TlsFiles, serve, serve_http, serve_probes,
 };
 pub use state::{Coordinator, Leases};

@@ -19,8 +19,8 @@ use crate::scheduling::{Chore, tell};
 use crate::specs;
 use crate::state::{Coordinator, Leases};
 use crate::store::{
-    BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore, Store,
-    StoreError,
+    BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore,
+    Store, StoreError,
 };
 
 /// The settings of a coordinator on one machine's disk.
@@ -41,8 +41,15 @@ pub struct Config {
 impl Config {
     /// The default settings with this data directory.
     pub fn new(data_dir: PathBuf) -> Self {
-        let (leases, quotas, retention) = (Leases::default(), Quotas::default(), Retention::default());
-        Self { data_dir, leases, quotas, retention, blobs: None }
+        let (leases, quotas, retention) =
+            (Leases::default(), Quotas::default(), Retention::default());
+        Self {
+            data_dir,
+            leases,
+            quotas,
+            retention,
+            blobs: None,
+        }
     }
 
     /// Opens the blobs. `shared` is the name under which this process writes to a directory that others use,
@@ -123,7 +130,11 @@ impl Coordinator {
     ) -> Result<Arc<Self>, OpenError> {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
         let chronicle = Chronicle::of(config.data_dir.join("events"));
-        let kept = (outcomes, chronicle, Some((config.data_dir, config.quotas, config.retention)));
+        let kept = (
+            outcomes,
+            chronicle,
+            Some((config.data_dir, config.quotas, config.retention)),
+        );
         Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)
     }
 
@@ -138,7 +149,13 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
     ) -> Result<Arc<Self>, OpenError> {
-        Self::start(leases, store, blobs, clock, (Outcomes::nowhere(), Chronicle::nowhere(), None))
+        Self::start(
+            leases,
+            store,
+            blobs,
+            clock,
+            (Outcomes::nowhere(), Chronicle::nowhere(), None),
+        )
     }
 
     fn start(
@@ -155,8 +172,13 @@ impl Coordinator {
         }
         // Before any end of a job is recorded.
         let started = clock.now();
-        let retention = config.as_ref().map_or_else(Retention::default, |(.., retention)| *retention);
-        let ages = Ages { jobs: retention.keep, blobs: Some(retention.grace) };
+        let retention = config
+            .as_ref()
+            .map_or_else(Retention::default, |(.., retention)| *retention);
+        let ages = Ages {
+            jobs: retention.keep,
+            blobs: Some(retention.grace),
+        };
         let mut retention_clock = RetentionClock::new(store.retention_stamp()?, ages, started);
         let stamp = retention_clock.stamp(started);
         store.stamp_retention(stamp)?;
@@ -189,7 +211,12 @@ impl Coordinator {
                         // The job ends, so that submitting it again begins a new one.
                         tracing::error!("job {id} cannot be continued: {reason}");
                         let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-                        store.set_job_state(id, &from, JobState::Failed { reason }, started.unix_ms)?;
+                        store.set_job_state(
+                            id,
+                            &from,
+                            JobState::Failed { reason },
+                            started.unix_ms,
+                        )?;
                     }
                 }
             }
@@ -200,7 +227,15 @@ impl Coordinator {
         let crews = Crews::new(outcomes);
         let kept = (crews, chronicle);
         let identity = store.identity()?;
-        let mut this = Self::of(leases, &identity, store, blobs, clock, kept, Machine::new(settings));
+        let mut this = Self::of(
+            leases,
+            &identity,
+            store,
+            blobs,
+            clock,
+            kept,
+            Machine::new(settings),
+        );
         if let Some((data_dir, quotas, retention)) = config {
             (this.data_dir, this.quotas, this.retention) = (Some(data_dir), quotas, retention);
         }
@@ -208,7 +243,10 @@ impl Coordinator {
         this.store.report_syncs(this.metrics.syncs());
         let this = Arc::new(this);
         let version = env!("CARGO_PKG_VERSION");
-        let text = format!("the coordinator starts, version {version}; jobs to go on with: {}", jobs.len());
+        let text = format!(
+            "the coordinator starts, version {version}; jobs to go on with: {}",
+            jobs.len()
+        );
         this.happened(Happening::of(Kind::Coordinator, text));
         retention_stamp::report(&this);
         for quarantined in this.store.quarantined()? {
@@ -232,7 +270,9 @@ fn spot_seed(share: f64) -> Result<u64, StoreError> {
     if share <= 0.0 {
         return Ok(0);
     }
-    getrandom::u64().map_err(|e| StoreError::Random { what: e.to_string() })
+    getrandom::u64().map_err(|e| StoreError::Random {
+        what: e.to_string(),
+    })
 }
 
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what

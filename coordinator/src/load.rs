@@ -56,13 +56,18 @@ fn number(name: &str, default: u64) -> u64 {
 fn resident() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
-    line.and_then(|l| l.trim().trim_end_matches(" kB").parse().ok()).unwrap_or(0)
+    line.and_then(|l| l.trim().trim_end_matches(" kB").parse().ok())
+        .unwrap_or(0)
 }
 
 fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
     let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
     let grid = Division::Grid([100, (tiles / 100) as u32, 1]);
-    let mut spec = JobSpec { backend: BackendChoice::Cpu, seed, ..JobSpec::new([7; 32], grid, view) };
+    let mut spec = JobSpec {
+        backend: BackendChoice::Cpu,
+        seed,
+        ..JobSpec::new([7; 32], grid, view)
+    };
     spec.block_cells = 1;
     spec.sampling.cell_to_cell = sightline_model::CellToCell::Off;
     submit(
@@ -87,23 +92,53 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
     digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
-    let stats = TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned(), ..TileStats::default() };
-    let result = TileResult { digest, bytes: 1, stats: stats.clone() };
+    let stats = TileStats {
+        samples: 1,
+        cells: 1,
+        millis: 1,
+        worker: "w".to_owned(),
+        ..TileStats::default()
+    };
+    let result = TileResult {
+        digest,
+        bytes: 1,
+        stats: stats.clone(),
+    };
     c.store.commit_tile(lease.job, lease.tile, result).unwrap();
-    do_chores(c, tell(c, Event::Committed { lease, digest, stats }));
+    do_chores(
+        c,
+        tell(
+            c,
+            Event::Committed {
+                lease,
+                digest,
+                stats,
+            },
+        ),
+    );
 }
 
 #[test]
 #[ignore = "a measurement of a minute"]
 fn one_coordinator_with_a_thousand_workers() {
-    let (workers, tiles) = (number("SIGHTLINE_WORKERS", 1000), number("SIGHTLINE_TILES", 100_000));
+    let (workers, tiles) = (
+        number("SIGHTLINE_WORKERS", 1000),
+        number("SIGHTLINE_TILES", 100_000),
+    );
     let directory = tempfile::tempdir().unwrap();
     let open = || Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let c = open();
-    let scene =
-        SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
+    let scene = SceneRecord {
+        digest: [7; 32],
+        bytes: 1,
+        triangles: 1,
+        objects: 1,
+        owners: Default::default(),
+    };
     c.store.record_scene(scene).unwrap();
-    let ids: Vec<JobId> = (0..tiles / TILES_OF_A_JOB).map(|i| job(&c, i + 1, TILES_OF_A_JOB)).collect();
+    let ids: Vec<JobId> = (0..tiles / TILES_OF_A_JOB)
+        .map(|i| job(&c, i + 1, TILES_OF_A_JOB))
+        .collect();
     let total = ids.len() as u64 * TILES_OF_A_JOB;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -116,7 +151,9 @@ fn one_coordinator_with_a_thousand_workers() {
         let mut running = Vec::new();
         for w in 0..workers {
             let (c, done) = (Arc::clone(&c), Arc::clone(&done));
-            running.push(tokio::spawn(async move { work(&c, w, &done, total * 9 / 10).await }));
+            running.push(tokio::spawn(async move {
+                work(&c, w, &done, total * 9 / 10).await
+            }));
         }
         let ticking = Arc::clone(&c);
         let ticks = tokio::spawn(async move {
@@ -124,7 +161,9 @@ fn one_coordinator_with_a_thousand_workers() {
                 tokio::time::sleep(Duration::from_secs(1)).await;
                 let chores = tick(&ticking);
                 let c = Arc::clone(&ticking);
-                tokio::task::spawn_blocking(move || do_chores(&c, chores)).await.unwrap();
+                tokio::task::spawn_blocking(move || do_chores(&c, chores))
+                    .await
+                    .unwrap();
             }
         });
         let mut all = Vec::new();
@@ -137,17 +176,33 @@ fn one_coordinator_with_a_thousand_workers() {
     let took = begin.elapsed().as_secs_f64();
     let mut latencies: Vec<Duration> = latencies;
     latencies.sort();
-    let at = |share: f64| latencies[((latencies.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e3;
-    println!("{workers} workers, {} leases: {:.0} a second", latencies.len(), latencies.len() as f64 / took);
-    println!("from Want to Grant: median {:.2} ms, p99 {:.2} ms, most {:.2} ms", at(0.5), at(0.99), at(1.0));
+    let at =
+        |share: f64| latencies[((latencies.len() - 1) as f64 * share) as usize].as_secs_f64() * 1e3;
+    println!(
+        "{workers} workers, {} leases: {:.0} a second",
+        latencies.len(),
+        latencies.len() as f64 / took
+    );
+    println!(
+        "from Want to Grant: median {:.2} ms, p99 {:.2} ms, most {:.2} ms",
+        at(0.5),
+        at(0.99),
+        at(1.0)
+    );
     println!("memory, at most: {} MB", resident() / 1024);
     drop(runtime);
     drop(c);
     let begin = Instant::now();
     let c = open();
-    println!("restart with {total} tiles: {:.2} s until jobs are taken up", begin.elapsed().as_secs_f64());
-    let left: u32 =
-        ids.iter().filter_map(|id| jobs::live(&c, *id)).map(|s| s.tiles_total - s.tiles_done).sum();
+    println!(
+        "restart with {total} tiles: {:.2} s until jobs are taken up",
+        begin.elapsed().as_secs_f64()
+    );
+    let left: u32 = ids
+        .iter()
+        .filter_map(|id| jobs::live(&c, *id))
+        .map(|s| s.tiles_total - s.tiles_done)
+        .sum();
     println!("tiles left after the restart: {left}");
 }
 
@@ -164,22 +219,39 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
         held: Vec::new(),
         helps: false,
     };
-    let worker = sessions::join(c, intro, Box::new(Queue(send))).unwrap().0.worker;
+    let worker = sessions::join(c, intro, Box::new(Queue(send)))
+        .unwrap()
+        .0
+        .worker;
     let mut latencies = Vec::new();
     while done.load(Ordering::Relaxed) < enough {
         let wanted = Instant::now();
         let chores = sessions::heard(c, worker, Message::Want(1));
         if !chores.is_empty() {
             let c = Arc::clone(c);
-            tokio::task::spawn_blocking(move || do_chores(&c, chores)).await.unwrap();
+            tokio::task::spawn_blocking(move || do_chores(&c, chores))
+                .await
+                .unwrap();
         }
-        let Ok(Some((lease, at))) = tokio::time::timeout(Duration::from_secs(5), granted.recv()).await else {
+        let Ok(Some((lease, at))) =
+            tokio::time::timeout(Duration::from_secs(5), granted.recv()).await
+        else {
             break;
         };
         latencies.push(at.duration_since(wanted));
-        drop(sessions::heard(c, worker, Message::Progress(Progress { lease, cells: 0, samples: 1 })));
+        drop(sessions::heard(
+            c,
+            worker,
+            Message::Progress(Progress {
+                lease,
+                cells: 0,
+                samples: 1,
+            }),
+        ));
         let put = Arc::clone(c);
-        tokio::task::spawn_blocking(move || commit(&put, lease)).await.unwrap();
+        tokio::task::spawn_blocking(move || commit(&put, lease))
+            .await
+            .unwrap();
         done.fetch_add(1, Ordering::Relaxed);
     }
     drop(sessions::leave(c, worker, "w"));
@@ -192,8 +264,13 @@ fn ten_thousand_finished_jobs() {
     let directory = tempfile::tempdir().unwrap();
     {
         let store = SledStore::open(&directory.path().join("state")).unwrap();
-        let scene =
-            SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
+        let scene = SceneRecord {
+            digest: [7; 32],
+            bytes: 1,
+            triangles: 1,
+            objects: 1,
+            owners: Default::default(),
+        };
         store.record_scene(scene).unwrap();
         for i in 0..10_000u64 {
             let mut key = [0; 32];
@@ -211,15 +288,35 @@ fn ten_thousand_finished_jobs() {
                 submitted_at_ms: i,
             };
             let id = store.submit_job(new).unwrap().id;
-            let stats =
-                TileStats { samples: 1, cells: 1, millis: 1, worker: "w".to_owned(), ..TileStats::default() };
-            let result = TileResult { digest: key, bytes: 1, stats };
+            let stats = TileStats {
+                samples: 1,
+                cells: 1,
+                millis: 1,
+                worker: "w".to_owned(),
+                ..TileStats::default()
+            };
+            let result = TileResult {
+                digest: key,
+                bytes: 1,
+                stats,
+            };
             store.commit_tile(id, TileIndex(0), result).unwrap();
             store.finish_job(id, key, 1, i).unwrap();
         }
     }
     let c = Coordinator::open(Config::new(directory.path().to_owned())).unwrap();
     let begin = Instant::now();
-    let (page, _) = jobs::list(&c, &Caller::Nobody, JobId(u64::MAX), 1000, &jobs::Wanted::default()).unwrap();
-    println!("a page of {} jobs in {:.1} ms", page.len(), begin.elapsed().as_secs_f64() * 1e3);
+    let (page, _) = jobs::list(
+        &c,
+        &Caller::Nobody,
+        JobId(u64::MAX),
+        1000,
+        &jobs::Wanted::default(),
+    )
+    .unwrap();
+    println!(
+        "a page of {} jobs in {:.1} ms",
+        page.len(),
+        begin.elapsed().as_secs_f64() * 1e3
+    );
 }

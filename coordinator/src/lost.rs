@@ -36,7 +36,12 @@ pub(crate) fn lost(
         }
         // Before the pause: whoever resumes the job after it takes it off the list.
         list().insert(job.id, lacks);
-        match turned(c, job.id, &[JobPhase::Queued, JobPhase::Running], JobState::Paused) {
+        match turned(
+            c,
+            job.id,
+            &[JobPhase::Queued, JobPhase::Running],
+            JobState::Paused,
+        ) {
             Ok(more) => chores.extend(more),
             Err(_) => {
                 // It has ended, or a person has paused it.
@@ -45,17 +50,29 @@ pub(crate) fn lost(
             }
         }
         let (name, again) = match lacks {
-            Lacks::Scene(_) => ("scene", "the scene again, with `sightline submit` and the same file"),
-            Lacks::Receivers(_) => {
-                ("receivers", "the receivers again, with the `sightline ambient` that made the job")
-            }
+            Lacks::Scene(_) => (
+                "scene",
+                "the scene again, with `sightline submit` and the same file",
+            ),
+            Lacks::Receivers(_) => (
+                "receivers",
+                "the receivers again, with the `sightline ambient` that made the job",
+            ),
         };
-        tracing::error!("job {} is paused, for its {name} cannot be read: {why}", job.id);
-        let text =
-            format!("the job is paused, for its {name} cannot be read: send {again}, and the job goes on");
+        tracing::error!(
+            "job {} is paused, for its {name} cannot be read: {why}",
+            job.id
+        );
+        let text = format!(
+            "the job is paused, for its {name} cannot be read: send {again}, and the job goes on"
+        );
         c.happened(Happening::of_job(Kind::Job, job.id, text));
     }
-    let waiting = list().iter().filter(|(_, of)| **of == lacks).map(|(job, _)| *job).collect();
+    let waiting = list()
+        .iter()
+        .filter(|(_, of)| **of == lacks)
+        .map(|(job, _)| *job)
+        .collect();
     Ok((waiting, chores))
 }
 

@@ -46,7 +46,10 @@ pub(crate) fn check(
     bytes: &[u8],
 ) -> Result<u64, AnswerError> {
     let stored = receivers::stored(c, ambient.receivers)?;
-    let points = stored.facts.receivers_of(tile.0).ok_or(AnswerError::NoTile)?;
+    let points = stored
+        .facts
+        .receivers_of(tile.0)
+        .ok_or(AnswerError::NoTile)?;
     Openness::decode(bytes, points, ambient.numbers())?;
     Ok(points.into())
 }
@@ -79,5 +82,10 @@ pub(crate) fn write(
 /// # Errors
 /// When compression fails.
 pub(crate) fn stand_in(ambient: &Ambient) -> Result<Vec<u8>, std::io::Error> {
-    Openness { numbers: ambient.numbers(), values: Vec::new(), bound: 0.0 }.encode()
+    Openness {
+        numbers: ambient.numbers(),
+        values: Vec::new(),
+        bound: 0.0,
+    }
+    .encode()
 }

@@ -23,7 +23,10 @@ pub(crate) struct Scheduling {
 impl Scheduling {
     /// A machine without workers.
     pub(crate) fn new(machine: Machine) -> Self {
-        Self { machine, outboxes: BTreeMap::new() }
+        Self {
+            machine,
+            outboxes: BTreeMap::new(),
+        }
     }
 }
 
@@ -39,7 +42,10 @@ impl Watched {
     /// Changes of a job from now on; the value is whether the job has ended.
     pub(crate) fn subscribe(&mut self, job: JobId) -> watch::Receiver<bool> {
         self.of.retain(|_, sender| sender.receiver_count() > 0);
-        self.of.entry(job).or_insert_with(|| watch::Sender::new(false)).subscribe()
+        self.of
+            .entry(job)
+            .or_insert_with(|| watch::Sender::new(false))
+            .subscribe()
     }
 
     /// Changes of any job and of the workers from now on.
@@ -57,7 +63,9 @@ impl Watched {
 
     /// Wakes everybody who watches a job: every summary says how many workers there are.
     pub(crate) fn all_changed(&self) {
-        self.of.values().for_each(|sender| sender.send_modify(|_| ()));
+        self.of
+            .values()
+            .for_each(|sender| sender.send_modify(|_| ()));
         self.any.send_modify(|()| ());
     }
 }

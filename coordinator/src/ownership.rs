@@ -102,8 +102,10 @@ mod tests {
     #[test]
     fn blobs_belong_to_first_store_until_claimed() {
         let folder = tempfile::tempdir().unwrap();
-        let stores: [Box<dyn Blobs>; 2] =
-            [Box::new(MemoryBlobs::new()), Box::new(FileBlobs::open(folder.path()).unwrap())];
+        let stores: [Box<dyn Blobs>; 2] = [
+            Box::new(MemoryBlobs::new()),
+            Box::new(FileBlobs::open(folder.path()).unwrap()),
+        ];
         for blobs in stores {
             let (first, second) = (MemoryStore::new(), MemoryStore::new());
             assert_eq!(check(&first, &*blobs).unwrap(), Ownership::Own);
@@ -120,8 +122,16 @@ mod tests {
     fn new_store_does_not_own_existing_blobs() {
         let blobs = MemoryBlobs::new();
         blobs.put(b"walls").unwrap();
-        assert_eq!(check(&MemoryStore::new(), &blobs).unwrap(), Ownership::Unnamed);
-        assert!(Ownership::Unnamed.refusal().unwrap().contains("--claim-blobs"));
+        assert_eq!(
+            check(&MemoryStore::new(), &blobs).unwrap(),
+            Ownership::Unnamed
+        );
+        assert!(
+            Ownership::Unnamed
+                .refusal()
+                .unwrap()
+                .contains("--claim-blobs")
+        );
     }
 
     #[test]
@@ -130,6 +140,9 @@ mod tests {
         let blobs = FileBlobs::open(folder.path()).unwrap();
         std::fs::write(folder.path().join("store-identity"), "walls").unwrap();
         let error = check(&MemoryStore::new(), &blobs).unwrap_err().to_string();
-        assert!(error.contains("store-identity") && error.contains("--claim-blobs"), "{error}");
+        assert!(
+            error.contains("store-identity") && error.contains("--claim-blobs"),
+            "{error}"
+        );
     }
 }

@@ -71,25 +71,53 @@ pub(crate) fn so_far(
     let profile = record.profile.clone().unwrap_or_default();
     let job = Job::of(record, &spec, c.store.tiles(id)?).map_err(PartialError::Outdated)?;
     let outputs: Vec<Output> = job.tiles.iter().map(|tile| tile.output).collect();
-    if !job.work.plan.leaves().any(|n| matches!(outputs[n as usize], Output::Done(_))) {
+    if !job
+        .work
+        .plan
+        .leaves()
+        .any(|n| matches!(outputs[n as usize], Output::Done(_)))
+    {
         return Err(PartialError::Nothing(id));
     }
-    let mut last = c.last_partial.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut last = c
+        .last_partial
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
     let names: Vec<Option<Digest>> = outputs.iter().map(Output::digest).collect();
-    if let Some(made) = last.0.as_ref().filter(|made| made.job == id && made.of == names) {
+    if let Some(made) = last
+        .0
+        .as_ref()
+        .filter(|made| made.job == id && made.of == names)
+    {
         return Ok(Arc::clone(&made.bytes));
     }
-    let parts = Parts { work: Arc::clone(&job.work), profile, outputs, samples: job.samples };
-    let mut made = WhileAsked { bytes: Vec::new(), is_gone };
+    let parts = Parts {
+        work: Arc::clone(&job.work),
+        profile,
+        outputs,
+        samples: job.samples,
+    };
+    let mut made = WhileAsked {
+        bytes: Vec::new(),
+        is_gone,
+    };
     if let Err(e) = write(c, &parts, &mut made) {
         if is_gone() {
             return Err(PartialError::Gone);
         }
         // The job may have ended meanwhile, and its tiles' outputs be in its result.
         let ended = c.store.job(id)?.is_none_or(|job| job.state.phase().ended());
-        return Err(if ended { PartialError::Changed(id) } else { e.into() });
+        return Err(if ended {
+            PartialError::Changed(id)
+        } else {
+            e.into()
+        });
     }
     let bytes: Arc<[u8]> = made.bytes.into();
-    last.0 = Some(Made { job: id, of: names, bytes: Arc::clone(&bytes) });
+    last.0 = Some(Made {
+        job: id,
+        of: names,
+        bytes: Arc::clone(&bytes),
+    });
     Ok(bytes)
 }

@@ -37,10 +37,15 @@ fn try_all(c: &Coordinator) -> Result<(), NotReady> {
     if let Some(free) = c.data_dir.as_deref().and_then(free_bytes)
         && free < LEAST_FREE
     {
-        reasons.push(format!("the disk has {} MiB left; free some, or add a larger one", free >> 20));
+        reasons.push(format!(
+            "the disk has {} MiB left; free some, or add a larger one",
+            free >> 20
+        ));
     }
     let mut random = [0; 16];
-    let random = getrandom::fill(&mut random).map(|()| random).map_err(|e| e.to_string());
+    let random = getrandom::fill(&mut random)
+        .map(|()| random)
+        .map_err(|e| e.to_string());
     let written = random.and_then(|random| {
         let digest = c.blobs.put_unsynced(&random).map_err(|e| e.to_string())?;
         c.blobs.remove(&digest).map_err(|e| e.to_string())
@@ -52,7 +57,13 @@ fn try_all(c: &Coordinator) -> Result<(), NotReady> {
         reasons.push(format!("the store cannot be written: {e}"));
     }
     if c.lock().machine.is_paused() {
-        reasons.push("no tiles are granted for a while, because the store could not be written".to_owned());
+        reasons.push(
+            "no tiles are granted for a while, because the store could not be written".to_owned(),
+        );
     }
-    if reasons.is_empty() { Ok(()) } else { Err(reasons) }
+    if reasons.is_empty() {
+        Ok(())
+    } else {
+        Err(reasons)
+    }
 }

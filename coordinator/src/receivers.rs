@@ -48,8 +48,12 @@ fn is_owned(c: &Coordinator, owner: &str, digest: &Digest) -> Result<bool, Store
     if c.uploads.has(owner, digest) {
         return Ok(true);
     }
-    let names = |spec: &[u8]| specs::receivers(spec).is_some_and(|ambient| ambient.receivers == digest);
-    Ok(c.store.jobs()?.iter().any(|job| job.owner == owner && names(&job.spec)))
+    let names =
+        |spec: &[u8]| specs::receivers(spec).is_some_and(|ambient| ambient.receivers == digest);
+    Ok(c.store
+        .jobs()?
+        .iter()
+        .any(|job| job.owner == owner && names(&job.spec)))
 }
 
 /// Joins stored chunks to receivers and checks them; removes the chunks.
@@ -63,12 +67,24 @@ pub(crate) fn put(
     if owned && let Some(bytes) = here(c, whole, chunks)? {
         return Ok(remember(c, whole, &bytes)?);
     }
-    let ListBytes { all: bytes, distinct } = announced(c, owner, owned, chunks, MOST_BYTES)?;
+    let ListBytes {
+        all: bytes,
+        distinct,
+    } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     // As chunks they count already.
-    may_have(c, owner, Usage { bytes, ..Usage::default() }, distinct)?;
+    may_have(
+        c,
+        owner,
+        Usage {
+            bytes,
+            ..Usage::default()
+        },
+        distinct,
+    )?;
     let joined = join(c, whole, chunks)?;
-    let stored = remember(c, whole, &joined.bytes).inspect_err(|_| joined.discard(c, owner, chunks))?;
+    let stored =
+        remember(c, whole, &joined.bytes).inspect_err(|_| joined.discard(c, owner, chunks))?;
     let new = forget_chunks(c, owner, whole, chunks);
     let is_new = !joined.was_there && (chunks != [whole] || new.contains(&whole));
     // At most 2 GiB.
@@ -77,7 +93,11 @@ pub(crate) fn put(
 }
 
 /// Stored receivers that a caller may name.
-pub(crate) fn known(c: &Coordinator, caller: &Caller, digest: Digest) -> Result<StoredReceivers, Fault> {
+pub(crate) fn known(
+    c: &Coordinator,
+    caller: &Caller,
+    digest: Digest,
+) -> Result<StoredReceivers, Fault> {
     if !(caller.sees_all() || is_owned(c, caller.owner(), &digest)?) || !c.blobs.has(&digest)? {
         return Err(Fault::Unknown(digest));
     }
@@ -86,7 +106,11 @@ pub(crate) fn known(c: &Coordinator, caller: &Caller, digest: Digest) -> Result<
 
 /// Stored receivers, whoever has sent them.
 pub(crate) fn stored(c: &Coordinator, digest: Digest) -> Result<StoredReceivers, Fault> {
-    let last = c.last_receivers.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let last = c
+        .last_receivers
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clone();
     match last {
         Some((of, stored)) if of == digest => Ok(stored),
         _ => Ok(remember(c, digest, &c.blobs.read(&digest)?)?),
@@ -94,10 +118,19 @@ pub(crate) fn stored(c: &Coordinator, digest: Digest) -> Result<StoredReceivers,
 }
 
 /// Checks receivers and keeps what is to be known of them.
-fn remember(c: &Coordinator, digest: Digest, bytes: &[u8]) -> Result<StoredReceivers, ReceiversError> {
+fn remember(
+    c: &Coordinator,
+    digest: Digest,
+    bytes: &[u8],
+) -> Result<StoredReceivers, ReceiversError> {
     let facts = Arc::new(receivers::check(bytes)?);
-    let stored = StoredReceivers { bytes: bytes.len() as u64, facts };
-    *c.last_receivers.lock().unwrap_or_else(PoisonError::into_inner) = Some((digest, stored.clone()));
+    let stored = StoredReceivers {
+        bytes: bytes.len() as u64,
+        facts,
+    };
+    *c.last_receivers
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner) = Some((digest, stored.clone()));
     Ok(stored)
 }
 

@@ -16,7 +16,11 @@ use crate::store::StoreError;
 /// The store's.
 pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
     let is_meant = |signature: &str| signature == worker || worker_name(signature) == worker;
-    let quarantined = c.store.quarantined()?.into_iter().map(|record| record.worker);
+    let quarantined = c
+        .store
+        .quarantined()?
+        .into_iter()
+        .map(|record| record.worker);
     let mut any = false;
     for signature in quarantined.filter(|signature| is_meant(signature)) {
         if c.store.release(&signature)? {

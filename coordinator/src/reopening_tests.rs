@@ -35,20 +35,37 @@ fn half_done() -> (Arc<Coordinator>, JobId, Grant) {
 /// Does what `sightline invalidate` does about tile 1.
 fn invalidate(c: &Arc<Coordinator>, job: JobId) {
     let tiles = [TileIndex(1)].into();
-    let which = Which { job: Some(job), tiles, to_ms: u64::MAX, ..Which::default() };
+    let which = Which {
+        job: Some(job),
+        tiles,
+        to_ms: u64::MAX,
+        ..Which::default()
+    };
     let mut chores = Vec::new();
     {
         let _turn = c.turn();
-        assert_eq!(invalidating::invalidate(c, &which, &mut chores).unwrap().get(&job), Some(&1));
+        assert_eq!(
+            invalidating::invalidate(c, &which, &mut chores)
+                .unwrap()
+                .get(&job),
+            Some(&1)
+        );
     }
     do_chores(c, chores);
 }
 
 /// What the store and the scheduler have of a tile, which is the same.
 fn is_done(c: &Coordinator, job: JobId, tile: u32) -> bool {
-    let stored = matches!(c.store.tile(job, TileIndex(tile)).unwrap().state, TileState::Done { .. });
+    let stored = matches!(
+        c.store.tile(job, TileIndex(tile)).unwrap().state,
+        TileState::Done { .. }
+    );
     let scheduled = c.lock().machine.job(job).unwrap().tiles[tile as usize].output;
-    assert_eq!(stored, scheduled != Output::Open, "the store and the scheduler differ about tile {tile}");
+    assert_eq!(
+        stored,
+        scheduled != Output::Open,
+        "the store and the scheduler differ about tile {tile}"
+    );
     stored
 }
 
@@ -65,7 +82,10 @@ fn no_tile_is_opened_again_while_an_output_is_committed() {
             done.send(()).unwrap();
         }
     });
-    assert!(is_over.recv_timeout(SOON).is_err(), "the tile was opened in the middle of a commit");
+    assert!(
+        is_over.recv_timeout(SOON).is_err(),
+        "the tile was opened in the middle of a commit"
+    );
     assert!(is_done(&c, id, 1));
     drop(committing);
     thread.join().unwrap();
@@ -111,7 +131,13 @@ fn a_late_output_is_no_conflict_with_the_one_that_was_computed_again() {
 /// The coordinator after a restart on the same store.
 fn restarted(c: Arc<Coordinator>) -> Arc<Coordinator> {
     let Coordinator { store, blobs, .. } = alone(c);
-    Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::new(ManualClock::default()))).unwrap()
+    Coordinator::new(
+        Leases::default(),
+        store,
+        blobs,
+        Box::new(Arc::new(ManualClock::default())),
+    )
+    .unwrap()
 }
 
 /// Which of these leases a worker that comes back may go on with.
@@ -141,7 +167,10 @@ fn after_a_restart_a_lease_counts_unless_tiles_were_opened_again_since() {
         }
         let c = restarted(c);
         let held = vec![grant.lease];
-        assert_eq!(kept(&c, held.clone()), if reopens { Vec::new() } else { held });
+        assert_eq!(
+            kept(&c, held.clone()),
+            if reopens { Vec::new() } else { held }
+        );
         let answer = put(&c, &grant, &output(&grant, &[]));
         if !reopens {
             answer.unwrap();

@@ -22,7 +22,8 @@ use crate::spans;
 use crate::spool::{Spool, SpoolError};
 use crate::state::Coordinator;
 use crate::store::{
-    Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult, TileStats,
+    Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult,
+    TileStats,
 };
 
 /// What a cell has besides its set, at most.
@@ -106,7 +107,9 @@ pub(crate) enum ResultError {
     #[error("the output's portals cannot be read, or it lacks them, or it has some and should not")]
     Portals,
     /// The job asks for contributions and the output has none, or the other way round.
-    #[error("the output has no contributions and the job asks for them, or has some and the job does not")]
+    #[error(
+        "the output has no contributions and the job asks for them, or has some and the job does not"
+    )]
     Contributions,
     /// The cells were decided by another method.
     #[error("the output's cells are not decided by the job's method")]
@@ -169,7 +172,10 @@ pub(crate) fn begin(c: &Coordinator, announced: &Announced) -> Result<Spool, Res
     }
     let most = most_packed(c, &work, announced.lease)?;
     if announced.bytes > most {
-        return Err(ResultError::TooLong { announced: announced.bytes, most });
+        return Err(ResultError::TooLong {
+            announced: announced.bytes,
+            most,
+        });
     }
     Ok(Spool::begin(c, Sender::Worker, announced.bytes)?)
 }
@@ -181,7 +187,9 @@ pub(crate) fn begin(c: &Coordinator, announced: &Announced) -> Result<Spool, Res
 /// When the store has no keys to sign with.
 pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address>, BlobError> {
     let admitted = c.lock().machine.admit(&staged.lease);
-    let most = admitted.ok().and_then(|admitted| most_packed(c, &admitted.work, staged.lease).ok());
+    let most = admitted
+        .ok()
+        .and_then(|admitted| most_packed(c, &admitted.work, staged.lease).ok());
     most.map_or(Ok(None), |most| direct::writing(c, staged, most))
 }
 
@@ -192,7 +200,11 @@ fn most_packed(c: &Coordinator, work: &Work, lease: Lease) -> Result<u64, Result
     if spec.ambient.is_some() {
         return Ok(codec::MAX_UNPACKED);
     }
-    let tile = work.plan.tiles.get(lease.tile.at()).ok_or(ResultError::NoTile)?;
+    let tile = work
+        .plan
+        .tiles
+        .get(lease.tile.at())
+        .ok_or(ResultError::NoTile)?;
     let items = most_items_of(spec, c.store.scene(&spec.scene)?.as_ref(), tile.kind);
     let unpacked = most_unpacked(spec, tile.cells, items, tile.kind != TileKind::Leaf);
     Ok(packed(unpacked))
@@ -200,7 +212,10 @@ fn most_packed(c: &Coordinator, work: &Work, lease: Lease) -> Result<u64, Result
 
 /// Returns the maximum packed length of an output, by its unpacked length, in bytes.
 fn packed(unpacked: u64) -> u64 {
-    unpacked.saturating_add(unpacked / 64).saturating_add(LEAST_UNPACKED).min(codec::MAX_UNPACKED)
+    unpacked
+        .saturating_add(unpacked / 64)
+        .saturating_add(LEAST_UNPACKED)
+        .min(codec::MAX_UNPACKED)
 }
 
 /// Returns the number of items that an output of a kind can name.
@@ -222,8 +237,8 @@ pub(crate) fn put(
     let (result, chores) = match origin {
         Origin::Sent(bytes) => commit(c, announced, bytes, None, weight)?,
         Origin::Staged(staged) => {
-            let committed =
-                fetch(c, staged).and_then(|bytes| commit(c, announced, &bytes, Some(staged), weight));
+            let committed = fetch(c, staged)
+                .and_then(|bytes| commit(c, announced, &bytes, Some(staged), weight));
             let waits = |e: &ResultError| match e {
                 ResultError::Blob(e) => e.passes(),
                 ResultError::Store(_) | ResultError::Large => true,
@@ -250,7 +265,10 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
     }
     let most = most_packed(c, &work, staged.lease)?;
     if staged.bytes > most {
-        return Err(ResultError::TooLong { announced: staged.bytes, most });
+        return Err(ResultError::TooLong {
+            announced: staged.bytes,
+            most,
+        });
     }
     let none = || ResultError::Unstaged("this coordinator has given no address".to_owned());
     let direct = c.blobs.direct().ok_or_else(none)?;
@@ -285,17 +303,30 @@ fn check(
             }
         });
     }
-    let tile = work.plan.tiles.get(announced.lease.tile.at()).ok_or(ResultError::NoTile)?;
+    let tile = work
+        .plan
+        .tiles
+        .get(announced.lease.tile.at())
+        .ok_or(ResultError::NoTile)?;
     let kind = tile.kind;
     let scene = c.store.scene(&spec.scene)?;
     let expected = expected_nodes(&spec.division, &work.lattice, &tile.cell, tile.depth);
     let items = most_items_of(spec, scene.as_ref(), kind);
     let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
-    let unreached = expected.as_ref().map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
-    let (exact, hits) = (spec.method != Method::Aggressive, spec.sampling.contributions);
+    let unreached = expected
+        .as_ref()
+        .map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
+    let (exact, hits) = (
+        spec.method != Method::Aggressive,
+        spec.sampling.contributions,
+    );
     let is_pack = kind != TileKind::Leaf;
     let most = most_unpacked(spec, tile.cells, items, is_pack);
-    let now = if weight == Weight::Light { most.min(MAX_LIGHT) } else { most };
+    let now = if weight == Weight::Light {
+        most.min(MAX_LIGHT)
+    } else {
+        most
+    };
     let output = codec::check(bytes, items, is_pack, now).map_err(|e| match e {
         e if e.is_too_large() && now < most => ResultError::Large,
         e => ResultError::Encoding(e.to_string()),
@@ -308,7 +339,11 @@ fn check(
             if sets.cells.iter().any(|c| c.decision.is_some() != exact) {
                 return Err(ResultError::Method);
             }
-            if sets.pairs.as_ref().map(|p| (p.seen.cells(), p.hidden.is_some())) != pairs.map(|n| (n, exact))
+            if sets
+                .pairs
+                .as_ref()
+                .map(|p| (p.seen.cells(), p.hidden.is_some()))
+                != pairs.map(|n| (n, exact))
             {
                 return Err(ResultError::Pairs);
             }
@@ -319,8 +354,9 @@ fn check(
                 return Err(ResultError::Viewpoints);
             }
             let has_portals = spec.has_portals() && announced.lease.tile.at() == 0;
-            let is_table =
-                |bytes: &[u8]| Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok();
+            let is_table = |bytes: &[u8]| {
+                Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok()
+            };
             if has_portals && !is_table(&sets.portals) || !has_portals && !sets.portals.is_empty() {
                 return Err(ResultError::Portals);
             }
@@ -340,15 +376,23 @@ fn most_unpacked(spec: &JobSpec, cells: u64, items: u32, is_pack: bool) -> u64 {
     if is_pack || spec.method != Method::Aggressive || spec.has_portals() || cells == 0 {
         return codec::MAX_UNPACKED;
     }
-    let pairs = spec.pair_cells().map_or(0, |sides| sides.iter().map(|n| u64::from(*n)).product::<u64>());
+    let pairs = spec.pair_cells().map_or(0, |sides| {
+        sides.iter().map(|n| u64::from(*n)).product::<u64>()
+    });
     // An adaptive tile has more cells than its plan says, and at most two to the depth of its tree.
     let cells = if matches!(spec.division, Division::Adaptive { .. }) {
         cells.saturating_mul(1 << 12)
     } else {
         cells
     };
-    let sets = cells.saturating_mul(u64::from(items).saturating_mul(10).saturating_add(LEAST_UNPACKED));
-    sets.saturating_add(pairs.saturating_mul(pairs)).saturating_add(1 << 20).min(codec::MAX_UNPACKED)
+    let sets = cells.saturating_mul(
+        u64::from(items)
+            .saturating_mul(10)
+            .saturating_add(LEAST_UNPACKED),
+    );
+    sets.saturating_add(pairs.saturating_mul(pairs))
+        .saturating_add(1 << 20)
+        .min(codec::MAX_UNPACKED)
 }
 
 /// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
@@ -382,17 +426,37 @@ fn commit(
     weight: Weight,
 ) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
     let begun = Begun::now();
-    let &Announced { lease, digest, samples, millis, .. } = announced;
+    let &Announced {
+        lease,
+        digest,
+        samples,
+        millis,
+        ..
+    } = announced;
     let Lease { job: id, tile, .. } = lease;
-    let Admitted { work, worker, profile, checks, counts, .. } = c.lock().machine.admit(&lease)?;
+    let Admitted {
+        work,
+        worker,
+        profile,
+        checks,
+        counts,
+        ..
+    } = c.lock().machine.admit(&lease)?;
     let cells = check(c, &work, announced, bytes, weight)?;
     if !counts {
         return Err(ResultError::NoLease(lease));
     }
     if checks {
         // It is compared with what is kept, and not kept itself.
-        let stats = TileStats { samples, cells, millis, worker, ..TileStats::default() };
-        c.spans.committed(&lease, begun, spans::CHECKED, &stats, announced.bytes);
+        let stats = TileStats {
+            samples,
+            cells,
+            millis,
+            worker,
+            ..TileStats::default()
+        };
+        c.spans
+            .committed(&lease, begun, spans::CHECKED, &stats, announced.bytes);
         return Ok((Ok(()), tell(c, Event::Checked { lease, digest })));
     }
     let full = |e: &BlobError| {
@@ -404,7 +468,9 @@ fn commit(
     // Nobody removes outputs meanwhile: a record may only name a blob that is present.
     let _committing = c.committing();
     // Nor opens tiles again. Until now somebody may have, with those that this one was computed from.
-    let Admitted { helpers, counts, .. } = c.lock().machine.admit(&lease)?;
+    let Admitted {
+        helpers, counts, ..
+    } = c.lock().machine.admit(&lease)?;
     if !counts {
         return Err(ResultError::NoLease(lease));
     }
@@ -415,8 +481,20 @@ fn commit(
     let unnamed = helpers.len().saturating_sub(MAX_HELPERS) as u32;
     let helpers = helpers.into_iter().take(MAX_HELPERS).collect();
     let at_ms = c.now().unix_ms;
-    let stats = TileStats { samples, cells, millis, worker, helpers, unnamed, at_ms };
-    let result = TileResult { digest, bytes: announced.bytes, stats: stats.clone() };
+    let stats = TileStats {
+        samples,
+        cells,
+        millis,
+        worker,
+        helpers,
+        unnamed,
+        at_ms,
+    };
+    let result = TileResult {
+        digest,
+        bytes: announced.bytes,
+        stats: stats.clone(),
+    };
     let outcome = c.store.commit_tile(id, tile, result).inspect_err(|e| {
         if matches!(e, StoreError::Journal(_)) {
             drop(tell(c, Event::DiskFull(lease)));
@@ -426,16 +504,34 @@ fn commit(
         CommitOutcome::Committed | CommitOutcome::AlreadySame => {
             c.crews.outcomes.remove((id, tile));
             if outcome == CommitOutcome::Committed {
-                let TileStats { cells, samples, millis, worker, .. } = &stats;
+                let TileStats {
+                    cells,
+                    samples,
+                    millis,
+                    worker,
+                    ..
+                } = &stats;
                 c.metrics.committed(&profile, *samples, *millis);
                 if staged.is_some() {
                     c.metrics.went_directly("write", announced.bytes);
                 }
-                let text = format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
+                let text =
+                    format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
                 c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
             }
-            c.spans.committed(&lease, begun, spans::DONE, &stats, announced.bytes);
-            Ok((Ok(()), tell(c, Event::Committed { lease, digest, stats })))
+            c.spans
+                .committed(&lease, begun, spans::DONE, &stats, announced.bytes);
+            Ok((
+                Ok(()),
+                tell(
+                    c,
+                    Event::Committed {
+                        lease,
+                        digest,
+                        stats,
+                    },
+                ),
+            ))
         }
         CommitOutcome::Conflict { kept, offered } => {
             let error = format!(
@@ -447,10 +543,21 @@ fn commit(
             tracing::error!("{error}");
             c.metrics.conflict();
             c.happened(Happening::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
-            c.spans.committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
+            c.spans
+                .committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
             // The lease has ended, whoever made the result that stays.
-            let mut chores = tell(c, Event::Differed { lease, digest: offered });
-            let event = Event::Committed { lease, digest: kept, stats: TileStats::default() };
+            let mut chores = tell(
+                c,
+                Event::Differed {
+                    lease,
+                    digest: offered,
+                },
+            );
+            let event = Event::Committed {
+                lease,
+                digest: kept,
+                stats: TileStats::default(),
+            };
             chores.extend(tell(c, event));
             Ok((Err(ResultError::Conflict), chores))
         }

@@ -131,8 +131,16 @@ impl RetentionClock {
     /// Starts on the last stamp of a store. The caller records [`Self::stamp`] before anything else.
     pub(crate) fn new(last: Option<RetentionStamp>, ages: Ages, now: Moment) -> Self {
         let last_stamp = last.unwrap_or_default();
-        let base = Reading { wall_ms: now.unix_ms, ran_ms: last_stamp.ran_ms };
-        let span = |stored| Span { stored, base, drift_ms: 0, reported: Reported::Nothing };
+        let base = Reading {
+            wall_ms: now.unix_ms,
+            ran_ms: last_stamp.ran_ms,
+        };
+        let span = |stored| Span {
+            stored,
+            base,
+            drift_ms: 0,
+            reported: Reported::Nothing,
+        };
         let (jobs, blobs) = (span(last_stamp.jobs), span(last_stamp.blobs));
         let ran_before_ms = base.ran_ms;
         let mut this = Self {
@@ -146,8 +154,10 @@ impl RetentionClock {
         };
         if let Some(last) = last {
             let gap = difference(now.unix_ms, last.wall_ms);
-            this.jobs.add_gap(gap, Kind::Jobs, ages.jobs, &mut this.pauses);
-            this.blobs.add_gap(gap, Kind::Blobs, ages.blobs, &mut this.pauses);
+            this.jobs
+                .add_gap(gap, Kind::Jobs, ages.jobs, &mut this.pauses);
+            this.blobs
+                .add_gap(gap, Kind::Blobs, ages.blobs, &mut this.pauses);
         }
         this
     }
@@ -174,7 +184,12 @@ impl RetentionClock {
         }
         let slack = span.doubt();
         // The process that made the record may have run for a while after its last stamp.
-        if recorded_ms > now.wall_ms.saturating_add(slack).saturating_add(MAX_UNSTAMPED_MS) {
+        if recorded_ms
+            > now
+                .wall_ms
+                .saturating_add(slack)
+                .saturating_add(MAX_UNSTAMPED_MS)
+        {
             Age::Future
         } else if now.wall_ms.saturating_sub(recorded_ms) >= age.saturating_add(slack) {
             Age::Old
@@ -192,16 +207,28 @@ impl RetentionClock {
     /// not in the store yet, or the last stamp is too old.
     pub(crate) fn is_unrecorded(&self, now: Moment) -> bool {
         let ran = self.ran_ms(now);
-        self.stamped_ms.is_none_or(|at| ran.saturating_sub(at) >= MAX_UNSTAMPED_MS)
+        self.stamped_ms
+            .is_none_or(|at| ran.saturating_sub(at) >= MAX_UNSTAMPED_MS)
     }
 
     /// Returns true if a stamp should be recorded.
     pub(crate) fn is_due(&self, now: Moment, ages: Ages) -> bool {
-        let shortest = ages.jobs.into_iter().chain(ages.blobs).map(milliseconds).min().unwrap_or(u64::MAX);
+        let shortest = ages
+            .jobs
+            .into_iter()
+            .chain(ages.blobs)
+            .map(milliseconds)
+            .min()
+            .unwrap_or(u64::MAX);
         let every = (shortest / 32).clamp(MIN_STAMP_MS, STAMP_MS);
         let ran = self.ran_ms(now);
-        let waits = self.failed_ms.is_some_and(|at| ran.saturating_sub(at) < RETRY_MS);
-        !waits && self.stamped_ms.is_none_or(|at| ran.saturating_sub(at) >= every)
+        let waits = self
+            .failed_ms
+            .is_some_and(|at| ran.saturating_sub(at) < RETRY_MS);
+        !waits
+            && self
+                .stamped_ms
+                .is_none_or(|at| ran.saturating_sub(at) >= every)
     }
 
     /// Notes that the store has not recorded a stamp.
@@ -213,10 +240,22 @@ impl RetentionClock {
     pub(crate) fn stamp(&self, now: Moment) -> RetentionStamp {
         let Reading { wall_ms, ran_ms } = self.reading(now);
         let stored = |span: &Span| {
-            let next = |next: NextSpan| NextSpan { doubt_ms: span.with_drift(next.doubt_ms), ..next };
-            TrustedSpan { doubt_ms: span.doubt(), next: span.stored.next.map(next), ..span.stored }
+            let next = |next: NextSpan| NextSpan {
+                doubt_ms: span.with_drift(next.doubt_ms),
+                ..next
+            };
+            TrustedSpan {
+                doubt_ms: span.doubt(),
+                next: span.stored.next.map(next),
+                ..span.stored
+            }
         };
-        RetentionStamp { wall_ms, ran_ms, jobs: stored(&self.jobs), blobs: stored(&self.blobs) }
+        RetentionStamp {
+            wall_ms,
+            ran_ms,
+            jobs: stored(&self.jobs),
+            blobs: stored(&self.blobs),
+        }
     }
 
     /// Notes that the store has recorded this stamp.
@@ -244,7 +283,10 @@ impl RetentionClock {
 
     fn reading(&self, now: Moment) -> Reading {
         let since = milliseconds(now.at.saturating_duration_since(self.started.at));
-        Reading { wall_ms: now.unix_ms, ran_ms: self.ran_before_ms.saturating_add(since) }
+        Reading {
+            wall_ms: now.unix_ms,
+            ran_ms: self.ran_before_ms.saturating_add(since),
+        }
     }
 }
 
@@ -267,7 +309,10 @@ impl Span {
         match (&mut self.stored.next, age) {
             (Some(next), _) => next.doubt_ms = next.doubt_ms.saturating_add(doubt),
             (next, Some(age)) if self.stored.doubt_ms > max_doubt(age) => {
-                *next = Some(NextSpan { begun_ms: self.base.ran_ms, doubt_ms: 0 });
+                *next = Some(NextSpan {
+                    begun_ms: self.base.ran_ms,
+                    doubt_ms: 0,
+                });
                 self.report((gap_ms, true), (kind, age), pauses);
             }
             (None, _) => {}
@@ -276,19 +321,34 @@ impl Span {
 
     /// Replaces the span by the next one, if that is as long as the age; returns true if it was replaced.
     fn advance(&mut self, ran_ms: u64, age: Option<Duration>) -> bool {
-        let (Some(next), Some(age)) = (self.stored.next, age) else { return false };
+        let (Some(next), Some(age)) = (self.stored.next, age) else {
+            return false;
+        };
         if ran_ms.saturating_sub(next.begun_ms) < milliseconds(age) {
             return false;
         }
         let NextSpan { begun_ms, doubt_ms } = next;
         let has_doubt = self.with_drift(doubt_ms) > max_doubt(age);
-        let next = has_doubt.then_some(NextSpan { begun_ms: ran_ms, doubt_ms: 0 });
-        self.stored = TrustedSpan { begun_ms, doubt_ms, next };
+        let next = has_doubt.then_some(NextSpan {
+            begun_ms: ran_ms,
+            doubt_ms: 0,
+        });
+        self.stored = TrustedSpan {
+            begun_ms,
+            doubt_ms,
+            next,
+        };
         true
     }
 
     /// Compares the clocks; returns true if another span begins.
-    fn observe(&mut self, now: Reading, kind: Kind, age: Option<Duration>, pauses: &mut Vec<Pause>) -> bool {
+    fn observe(
+        &mut self,
+        now: Reading,
+        kind: Kind,
+        age: Option<Duration>,
+        pauses: &mut Vec<Pause>,
+    ) -> bool {
         let wall = difference(now.wall_ms, self.base.wall_ms);
         let drift = wall.saturating_sub_unsigned(now.ran_ms.saturating_sub(self.base.ran_ms));
         let begins = drift.unsigned_abs() > max_drift(age);
@@ -316,8 +376,16 @@ impl Span {
         (kind, age): (Kind, Option<Duration>),
         pauses: &mut Vec<Pause>,
     ) {
-        let stored = TrustedSpan { begun_ms: now.ran_ms, ..TrustedSpan::default() };
-        *self = Self { stored, base: now, drift_ms: 0, ..*self };
+        let stored = TrustedSpan {
+            begun_ms: now.ran_ms,
+            ..TrustedSpan::default()
+        };
+        *self = Self {
+            stored,
+            base: now,
+            drift_ms: 0,
+            ..*self
+        };
         match age {
             Some(age) => self.report(jump, (kind, age), pauses),
             None => self.reported = Reported::Nothing,
@@ -331,10 +399,19 @@ impl Span {
         (kind, age): (Kind, Duration),
         pauses: &mut Vec<Pause>,
     ) {
-        let report = if at_start { Reported::Delay } else { Reported::Pause };
+        let report = if at_start {
+            Reported::Delay
+        } else {
+            Reported::Pause
+        };
         if self.reported < report {
             self.reported = report;
-            pauses.push(Pause { kind, jump_ms, at_start, lasts_ms: milliseconds(age) });
+            pauses.push(Pause {
+                kind,
+                jump_ms,
+                at_start,
+                lasts_ms: milliseconds(age),
+            });
         }
     }
 }
@@ -365,7 +442,9 @@ impl FutureBlobs {
 
 /// Returns the largest tolerated disagreement of the two clocks of a process for an age.
 fn max_drift(age: Option<Duration>) -> u64 {
-    age.map_or(MAX_DRIFT_MS, |age| (milliseconds(age) / 16).clamp(MIN_DRIFT_MS, MAX_DRIFT_MS))
+    age.map_or(MAX_DRIFT_MS, |age| {
+        (milliseconds(age) / 16).clamp(MIN_DRIFT_MS, MAX_DRIFT_MS)
+    })
 }
 
 /// Returns the largest doubt of a trusted span for an age: an eighth.
@@ -418,22 +497,46 @@ mod tests {
 
     impl World {
         fn new(age: Duration) -> Self {
-            let ages = Ages { jobs: Some(age), blobs: None };
+            let ages = Ages {
+                jobs: Some(age),
+                blobs: None,
+            };
             let origin = Instant::now();
-            let clock = RetentionClock::new(None, ages, Moment { at: origin, unix_ms: START });
+            let clock = RetentionClock::new(
+                None,
+                ages,
+                Moment {
+                    at: origin,
+                    unix_ms: START,
+                },
+            );
             let stored = RetentionStamp::default();
-            let mut this = Self { origin, true_ms: 0, error_ms: 0, age, clock, stored, ends: Vec::new() };
+            let mut this = Self {
+                origin,
+                true_ms: 0,
+                error_ms: 0,
+                age,
+                clock,
+                stored,
+                ends: Vec::new(),
+            };
             this.record();
             this
         }
 
         fn ages(&self) -> Ages {
-            Ages { jobs: Some(self.age), blobs: None }
+            Ages {
+                jobs: Some(self.age),
+                blobs: None,
+            }
         }
 
         fn now(&mut self) -> Moment {
             let at = self.origin + Duration::from_millis(self.true_ms);
-            let now = Moment { at, unix_ms: (START + self.true_ms).saturating_add_signed(self.error_ms) };
+            let now = Moment {
+                at,
+                unix_ms: (START + self.true_ms).saturating_add_signed(self.error_ms),
+            };
             let ages = self.ages();
             self.clock.observe(now, ages);
             now
@@ -466,7 +569,8 @@ mod tests {
             self.true_ms += downtime_ms;
             let at = self.origin + Duration::from_millis(self.true_ms);
             let unix_ms = (START + self.true_ms).saturating_add_signed(self.error_ms);
-            self.clock = RetentionClock::new(Some(self.stored), self.ages(), Moment { at, unix_ms });
+            self.clock =
+                RetentionClock::new(Some(self.stored), self.ages(), Moment { at, unix_ms });
             self.record();
         }
 
@@ -476,7 +580,10 @@ mod tests {
             let mut youngest = None;
             let clock = &self.clock;
             self.ends.retain(|&(recorded, ended)| {
-                let stays = matches!(clock.age(Kind::Jobs, recorded, age, now), Age::Unknown | Age::Young);
+                let stays = matches!(
+                    clock.age(Kind::Jobs, recorded, age, now),
+                    Age::Unknown | Age::Young
+                );
                 if !stays {
                     let age = Duration::from_millis(true_ms - ended);
                     youngest = Some(youngest.map_or(age, |youngest: Duration| youngest.min(age)));
@@ -508,7 +615,10 @@ mod tests {
         world.run(100 * HOUR);
         world.end();
         assert_eq!(world.run(24 * HOUR - 64), None);
-        assert_eq!(world.run(64 * 2000), Some(day() + Duration::from_millis(2000 - 64)));
+        assert_eq!(
+            world.run(64 * 2000),
+            Some(day() + Duration::from_millis(2000 - 64))
+        );
     }
 
     #[test]
@@ -521,7 +631,12 @@ mod tests {
             world.error_ms = step;
             assert_eq!(world.pass(), None);
             let lasts_ms = 24 * HOUR;
-            let pause = Pause { kind: Kind::Jobs, jump_ms: step, at_start: false, lasts_ms };
+            let pause = Pause {
+                kind: Kind::Jobs,
+                jump_ms: step,
+                at_start: false,
+                lasts_ms,
+            };
             assert_eq!(world.clock.take_pauses(), [pause]);
             // A second step in the pause is not reported again.
             world.error_ms = 0;
@@ -541,7 +656,10 @@ mod tests {
             world.error_ms = step;
             world.restart(1000);
             let pauses = world.clock.take_pauses();
-            assert!(matches!(pauses[..], [Pause { at_start: true, .. }]), "{pauses:?}");
+            assert!(
+                matches!(pauses[..], [Pause { at_start: true, .. }]),
+                "{pauses:?}"
+            );
             assert_eq!(world.run(24 * HOUR - 64), None);
             world.run(2 * u64::try_from(longest_delay(day()).as_millis()).unwrap());
             assert!(world.ends.is_empty());
@@ -655,7 +773,13 @@ mod tests {
 
     /// Acts in units of a 64th of the age.
     fn act() -> impl Strategy<Value = Act> {
-        let step = prop_oneof![-3..4i64, -40..40i64, Just(-YEARS), Just(YEARS), -YEARS..YEARS];
+        let step = prop_oneof![
+            -3..4i64,
+            -40..40i64,
+            Just(-YEARS),
+            Just(YEARS),
+            -YEARS..YEARS
+        ];
         prop_oneof![
             4 => (0..80u64).prop_map(Act::Run),
             2 => step.prop_map(Act::Step),

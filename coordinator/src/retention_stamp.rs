@@ -65,15 +65,24 @@ pub(crate) fn report(c: &Coordinator) {
 }
 
 fn text(pause: &Pause) -> String {
-    let Pause { kind, jump_ms, at_start, lasts_ms } = *pause;
+    let Pause {
+        kind,
+        jump_ms,
+        at_start,
+        lasts_ms,
+    } = *pause;
     let jump = spoken(jump_ms.unsigned_abs());
     let cause = match (at_start, jump_ms < 0) {
         (true, true) => format!("the wall clock is {jump} behind its last time in the store"),
         (true, false) => {
-            format!("no coordinator ran for {jump} by the wall clock, or the wall clock was set forward")
+            format!(
+                "no coordinator ran for {jump} by the wall clock, or the wall clock was set forward"
+            )
         }
         (false, true) => format!("the wall clock stepped back by {jump}"),
-        (false, false) => format!("the wall clock stepped forward by {jump}, or this machine slept"),
+        (false, false) => {
+            format!("the wall clock stepped forward by {jump}, or this machine slept")
+        }
     };
     let what = match (kind, at_start) {
         (Kind::Jobs, false) => "ended jobs and scenes are not deleted by age".to_owned(),
@@ -90,7 +99,12 @@ fn text(pause: &Pause) -> String {
 /// Returns a duration in its largest unit.
 fn spoken(milliseconds: u64) -> String {
     let seconds = Duration::from_millis(milliseconds).as_secs_f64();
-    let units = [(86_400.0 * 365.25, "years"), (86_400.0, "days"), (3600.0, "hours"), (60.0, "minutes")];
+    let units = [
+        (86_400.0 * 365.25, "years"),
+        (86_400.0, "days"),
+        (3600.0, "hours"),
+        (60.0, "minutes"),
+    ];
     match units.into_iter().find(|(unit, _)| seconds >= 2.0 * unit) {
         Some((unit, name)) => format!("{:.1} {name}", seconds / unit),
         None => format!("{seconds:.1} seconds"),

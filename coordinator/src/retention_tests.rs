@@ -33,9 +33,19 @@ fn coordinator(
     // Times of blobs are of the system's clock.
     clock.step(-2 * DAY_MS);
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
-    let c = Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::clone(&clock))).unwrap();
+    let c = Coordinator::new(
+        Leases::default(),
+        store,
+        blobs,
+        Box::new(Arc::clone(&clock)),
+    )
+    .unwrap();
     let mut c = alone(c);
-    c.retention = Retention { keep, keep_bytes, grace: DAY };
+    c.retention = Retention {
+        keep,
+        keep_bytes,
+        grace: DAY,
+    };
     clock.advance(2 * DAY);
     let scene = c.take_scene(&triangle()).unwrap();
     (Arc::new(c), clock, scene)
@@ -44,7 +54,10 @@ fn coordinator(
 /// Submits a job and cancels it.
 fn ended(c: &Arc<Coordinator>, scene: Digest, seed: u64) -> JobId {
     let view = sightline_scene::Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-    let spec = JobSpec { seed, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
+    let spec = JobSpec {
+        seed,
+        ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
+    };
     let id = submit(c, &nameless(spec)).unwrap().id;
     jobs::cancel(c, id).unwrap();
     id
@@ -55,7 +68,12 @@ fn pauses(c: &Coordinator) -> Vec<String> {
     retention_stamp::record(c);
     let (events, _) = c.chronicle.after(None, 0, usize::MAX);
     let of = |text: &String| text.contains("the wall clock stepped");
-    events.into_iter().filter(|e| e.what.kind == Kind::Coordinator).map(|e| e.what.text).filter(of).collect()
+    events
+        .into_iter()
+        .filter(|e| e.what.kind == Kind::Coordinator)
+        .map(|e| e.what.text)
+        .filter(of)
+        .collect()
 }
 
 #[test]
@@ -72,10 +90,16 @@ fn stepped_clock_deletes_no_jobs_and_no_blobs() {
         let other = ended(&c, scene, 2);
         clock.step(-step);
         tidy_up(&c);
-        assert!(is_there() && c.store.job(other).unwrap().is_some(), "{step}");
+        assert!(
+            is_there() && c.store.job(other).unwrap().is_some(),
+            "{step}"
+        );
         let pauses = pauses(&c);
         assert_eq!(pauses.len(), 2, "one for jobs, one for blobs: {pauses:?}");
-        assert!(pauses[0].contains("the time service of the machine"), "{pauses:?}");
+        assert!(
+            pauses[0].contains("the time service of the machine"),
+            "{pauses:?}"
+        );
         clock.advance(DAY - Duration::from_secs(1));
         tidy_up(&c);
         assert!(is_there(), "{step}");
@@ -84,7 +108,10 @@ fn stepped_clock_deletes_no_jobs_and_no_blobs() {
             clock.advance(DAY);
             tidy_up(&c);
         }
-        assert!(c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty(), "{step}");
+        assert!(
+            c.store.jobs().unwrap().is_empty() && c.store.scenes().unwrap().is_empty(),
+            "{step}"
+        );
         assert!(!c.blobs.has(&chunk).unwrap(), "{step}");
     }
 }
@@ -98,8 +125,14 @@ fn byte_bound_deletes_job_with_lowest_number() {
     clock.step(-DAY_MS);
     let other = sightline_scene::Scene::new(
         "other",
-        vec![sightline_scene::Triangle { v: [glam::Vec3::X, glam::Vec3::Y, glam::Vec3::Z] }],
-        vec![sightline_scene::Object { name: "all".to_owned(), first: 0, count: 1 }],
+        vec![sightline_scene::Triangle {
+            v: [glam::Vec3::X, glam::Vec3::Y, glam::Vec3::Z],
+        }],
+        vec![sightline_scene::Object {
+            name: "all".to_owned(),
+            first: 0,
+            count: 1,
+        }],
     );
     let other = c.take_scene(&other.unwrap()).unwrap();
     let second = ended(&c, other, 2);

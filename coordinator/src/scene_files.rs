@@ -22,7 +22,9 @@ pub(crate) enum FileError {
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The file is too long.
-    #[error("{bytes} bytes were announced; a scene file has at most {MOST_BYTES}, so send chunks instead")]
+    #[error(
+        "{bytes} bytes were announced; a scene file has at most {MOST_BYTES}, so send chunks instead"
+    )]
     TooLong {
         /// The announced length.
         bytes: u64,
@@ -48,7 +50,17 @@ pub(crate) fn begin(c: &Coordinator, owner: &str, bytes: u64) -> Result<Spool, F
         return Err(FileError::TooLong { bytes });
     }
     let _turn = turn_of(c, owner);
-    may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, 0).map_err(TakeError::from)?;
+    may_have(
+        c,
+        owner,
+        Usage {
+            bytes,
+            scenes: 1,
+            ..Usage::default()
+        },
+        0,
+    )
+    .map_err(TakeError::from)?;
     Ok(Spool::begin(c, Sender::User(owner), bytes)?)
 }
 
@@ -61,7 +73,10 @@ pub(crate) fn take(
     mut spool: Spool,
     rules: Vec<Rule>,
 ) -> Result<(SceneRecord, Vec<String>), FileError> {
-    let options = Options { rules, ..Options::default() };
+    let options = Options {
+        rules,
+        ..Options::default()
+    };
     // From here on the scene counts, and the file no longer does.
     let bytes = spool.bytes(c).map_err(TakeError::from)?;
     let loaded = load_bytes_with(name, &bytes, None, &options)?;

@@ -54,11 +54,16 @@ impl Coordinator {
     pub(crate) fn take_scene_of(&self, owner: &str, scene: &Scene) -> Result<Digest, TakeError> {
         let bytes = scene.to_blob();
         let _turn = turn_of(self, owner);
-        let more = Usage { bytes: bytes.len() as u64, scenes: 1, ..Usage::default() };
+        let more = Usage {
+            bytes: bytes.len() as u64,
+            scenes: 1,
+            ..Usage::default()
+        };
         may_have(self, owner, more, 0)?;
         let digest = self.blobs.put(&bytes)?;
         remember(self, digest, scene);
-        self.store.record_scene(record_of(digest, bytes.len(), scene, owner))?;
+        self.store
+            .record_scene(record_of(digest, bytes.len(), scene, owner))?;
         Ok(digest)
     }
 }
@@ -71,7 +76,11 @@ pub(crate) fn missing(
 ) -> Result<Vec<Digest>, UploadError> {
     let mut missing = Vec::new();
     for digest in digests {
-        let owned = || c.store.scene(&digest).map(|known| known.is_some_and(|s| s.owners.contains(owner)));
+        let owned = || {
+            c.store
+                .scene(&digest)
+                .map(|known| known.is_some_and(|s| s.owners.contains(owner)))
+        };
         if !(c.uploads.has(owner, &digest) || owned()?) || !c.blobs.has(&digest)? {
             missing.push(digest);
         }
@@ -85,7 +94,8 @@ pub(crate) fn put_chunk(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Di
     let was_there = c.blobs.has(blake3::hash(bytes).as_bytes())?;
     let digest = c.blobs.put_unsynced(bytes)?;
     // A message has at most a few megabytes.
-    c.uploads.note(owner, digest, bytes.len() as u32, !was_there);
+    c.uploads
+        .note(owner, digest, bytes.len() as u32, !was_there);
     Ok(digest)
 }
 
@@ -116,16 +126,30 @@ pub(crate) fn put_scene(
     chunks: &[Digest],
 ) -> Result<SceneRecord, UploadError> {
     let known = c.store.scene(&whole)?;
-    let owned = known.as_ref().is_some_and(|known| owner.is_empty() || known.owners.contains(owner));
+    let owned = known
+        .as_ref()
+        .is_some_and(|known| owner.is_empty() || known.owners.contains(owner));
     if let Some(known) = known.filter(|_| owned)
         && here(c, whole, chunks)?.is_some()
     {
         return Ok(known);
     }
-    let ListBytes { all: bytes, distinct } = announced(c, owner, owned, chunks, MOST_BYTES)?;
+    let ListBytes {
+        all: bytes,
+        distinct,
+    } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     if !owned {
-        may_have(c, owner, Usage { bytes, scenes: 1, ..Usage::default() }, distinct)?;
+        may_have(
+            c,
+            owner,
+            Usage {
+                bytes,
+                scenes: 1,
+                ..Usage::default()
+            },
+            distinct,
+        )?;
     }
     let joined = join(c, whole, chunks)?;
     let name = "uploaded scene";
@@ -146,15 +170,28 @@ pub(crate) fn put_scene(
 
 fn record_of(digest: Digest, bytes: usize, scene: &Scene, owner: &str) -> SceneRecord {
     let (triangles, objects) = (scene.len(), scene.objects().len() as u32);
-    let owners = Some(owner.to_owned()).filter(|owner| !owner.is_empty()).into_iter().collect();
-    SceneRecord { digest, bytes: bytes as u64, triangles, objects, owners }
+    let owners = Some(owner.to_owned())
+        .filter(|owner| !owner.is_empty())
+        .into_iter()
+        .collect();
+    SceneRecord {
+        digest,
+        bytes: bytes as u64,
+        triangles,
+        objects,
+        owners,
+    }
 }
 
 /// The record of a scene that a caller may see. One that belongs to others does not exist.
 ///
 /// # Errors
 /// [`StoreError::UnknownScene`], or the store's.
-pub(crate) fn known(c: &Coordinator, caller: &Caller, scene: Digest) -> Result<SceneRecord, StoreError> {
+pub(crate) fn known(
+    c: &Coordinator,
+    caller: &Caller,
+    scene: Digest,
+) -> Result<SceneRecord, StoreError> {
     let record = c.store.scene(&scene)?;
     let own = |record: &SceneRecord| caller.sees_all() || record.owners.contains(caller.owner());
     record.filter(own).ok_or(StoreError::UnknownScene { scene })
@@ -168,7 +205,11 @@ pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<Aabb, FactsError
 
 /// The facts of a stored scene.
 pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>, FactsError> {
-    let last = c.last_scene.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let last = c
+        .last_scene
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .clone();
     match last {
         Some((d, facts)) if d == *digest => {
             c.metrics.looked("scene", Cache::Hit);
@@ -185,10 +226,22 @@ pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>,
 /// Keeps the facts of a scene that is in memory.
 fn remember(c: &Coordinator, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
     let (triangles, objects) = (scene.len(), scene.objects().to_vec());
-    let (bounds, kinds, sources) = (scene.bounds(), scene.kinds().clone(), scene.sources().to_vec());
+    let (bounds, kinds, sources) = (
+        scene.bounds(),
+        scene.kinds().clone(),
+        scene.sources().to_vec(),
+    );
     let culled = !scene.sides().are_both();
-    let facts = Arc::new(SceneFacts { triangles, objects, bounds, kinds, sources, culled });
-    *c.last_scene.lock().unwrap_or_else(PoisonError::into_inner) = Some((digest, Arc::clone(&facts)));
+    let facts = Arc::new(SceneFacts {
+        triangles,
+        objects,
+        bounds,
+        kinds,
+        sources,
+        culled,
+    });
+    *c.last_scene.lock().unwrap_or_else(PoisonError::into_inner) =
+        Some((digest, Arc::clone(&facts)));
     facts
 }
 
@@ -212,7 +265,14 @@ mod tests {
         let blobs = FileBlobs::open(directory.path()).unwrap();
         let store = Box::new(MemoryStore::new());
         let identity = store.identity().unwrap();
-        let settings = Settings { epoch: Epoch(1), ttl: 1, stuck: 1, seed: 1, spot_check: 0.0, spot_seed: 0 };
+        let settings = Settings {
+            epoch: Epoch(1),
+            ttl: 1,
+            stuck: 1,
+            seed: 1,
+            spot_check: 0.0,
+            spot_seed: 0,
+        };
         let scheduler = Machine::new(settings);
         let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
@@ -225,12 +285,23 @@ mod tests {
             (crews, Chronicle::nowhere()),
             scheduler,
         );
-        let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
-        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+        let triangle = Triangle {
+            v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y],
+        };
+        let objects = vec![Object {
+            name: "all".to_owned(),
+            first: 0,
+            count: 1,
+        }];
         let scene = Scene::new("test", vec![triangle], objects).unwrap();
         let place = blobs.path(&scene.digest().0);
         // Missing, there, altered, cut short.
-        for before in [None, Some(scene.to_blob()), Some(b"halls".to_vec()), Some(Vec::new())] {
+        for before in [
+            None,
+            Some(scene.to_blob()),
+            Some(b"halls".to_vec()),
+            Some(Vec::new()),
+        ] {
             if let Some(bytes) = before {
                 std::fs::write(&place, bytes).unwrap();
             }

@@ -6,7 +6,9 @@ use std::collections::VecDeque;
 use crate::chronicle::{Happening, Kind};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::{Outbox, Scheduling};
-use crate::scheduler::{Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order};
+use crate::scheduler::{
+    Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order,
+};
 use crate::spans;
 use crate::state::Coordinator;
 
@@ -30,14 +32,20 @@ pub(crate) fn join(
     let (mut answer, mut chores) = (Err(NameTaken { name }), Vec::new());
     let scheduling = &mut *c.lock();
     let effects = scheduling.machine.step(Event::Joined(intro), c.now_plain());
-    carry_all(c, scheduling, effects, &mut chores, &mut |scheduling, effect| {
-        if let Effect::Joined(joined) = effect {
-            if let (Ok(joined), Some(out)) = (&joined, out.take()) {
-                scheduling.outboxes.insert(joined.worker, out);
+    carry_all(
+        c,
+        scheduling,
+        effects,
+        &mut chores,
+        &mut |scheduling, effect| {
+            if let Effect::Joined(joined) = effect {
+                if let (Ok(joined), Some(out)) = (&joined, out.take()) {
+                    scheduling.outboxes.insert(joined.worker, out);
+                }
+                answer = joined;
             }
-            answer = joined;
-        }
-    });
+        },
+    );
     c.watched().all_changed();
     (answer, chores)
 }
@@ -95,7 +103,9 @@ fn carry_all(
                 lost.extend(carry(c, scheduling, effect, chores));
             }
         }
-        next = lost.pop_front().map(|event| scheduling.machine.step(event, c.now_plain()));
+        next = lost
+            .pop_front()
+            .map(|event| scheduling.machine.step(event, c.now_plain()));
     }
 }
 
@@ -125,7 +135,10 @@ fn carry(
             {
                 c.spans.lease_ended(lease, spans::TAKEN_BACK);
             }
-            let sent = scheduling.outboxes.get(&worker).is_some_and(|out| out.offer(order));
+            let sent = scheduling
+                .outboxes
+                .get(&worker)
+                .is_some_and(|out| out.offer(order));
             if let Some(Event::Undelivered(_, lease)) = lost.as_ref().filter(|_| !sent) {
                 c.spans.lease_ended(lease, spans::TAKEN_BACK);
             }
@@ -133,7 +146,9 @@ fn carry(
         }
         Effect::Run(command) => chores.push(Chore::Run(command)),
         Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
-        Effect::Changed(job) => c.watched().changed(job, scheduling.machine.job(job).is_none()),
+        Effect::Changed(job) => c
+            .watched()
+            .changed(job, scheduling.machine.job(job).is_none()),
         Effect::Note(note) => write(c, &note),
         // Answers to `join` and `leave`, which look at them themselves.
         Effect::Joined(_) | Effect::Left(_) => {}
@@ -147,7 +162,10 @@ fn write(c: &Coordinator, note: &Note) {
         Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
             c.metrics.lease_taken_back();
             c.spans.lease_ended(lease, spans::TAKEN_BACK);
-            let of = from.as_ref().map(|name| format!(" from worker {name}")).unwrap_or_default();
+            let of = from
+                .as_ref()
+                .map(|name| format!(" from worker {name}"))
+                .unwrap_or_default();
             tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
             let text = format!("tile {tile} is taken back{of}: {why}");
             Happening::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
@@ -178,7 +196,10 @@ fn write(c: &Coordinator, note: &Note) {
         Note::Agrees(job, tile, worker) => {
             c.metrics.spot_check("same");
             let text = format!("tile {tile} was computed again, with the same bytes");
-            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Check, *job, text).on(worker) }
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Check, *job, text).on(worker)
+            }
         }
         Note::Differs(job, tile, workers) => {
             c.metrics.spot_check("different");
@@ -188,7 +209,10 @@ fn write(c: &Coordinator, note: &Note) {
                 workers.join(", ")
             );
             tracing::error!("job {job}: {text}");
-            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Conflict, *job, text) }
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Conflict, *job, text)
+            }
         }
         Note::NeedsThird(job, tile) => {
             let text = format!(
@@ -196,13 +220,19 @@ fn write(c: &Coordinator, note: &Note) {
                  another worker"
             );
             tracing::error!("job {job}: {text}");
-            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Conflict, *job, text) }
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Conflict, *job, text)
+            }
         }
         Note::Unchecked(job, tile, why) => {
             c.metrics.spot_check("skipped");
             let text = format!("tile {tile} was to be computed again and was not: {why}");
             tracing::warn!("job {job}: {text}");
-            Happening { tile: Some(*tile), ..Happening::of_job(Kind::Check, *job, text) }
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Check, *job, text)
+            }
         }
         Note::Draining(name) => {
             let text = format!("worker {name} is draining: it finishes its tile and takes no more");

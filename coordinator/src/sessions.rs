@@ -11,7 +11,9 @@ use crate::chronicle::{Happening, Kind};
 use crate::crews::{Room, Told};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::orders::Outbox;
-use crate::scheduler::{Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress};
+use crate::scheduler::{
+    Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
+};
 use crate::scheduling::{self, Chore, tell};
 use crate::state::Coordinator;
 
@@ -40,7 +42,11 @@ pub(crate) fn join(
     intro: Introduction,
     out: Box<dyn Outbox>,
 ) -> Result<(Joined, Vec<Chore>), NameTaken> {
-    let joining = format!("worker {} has joined, with {}", intro.name, intro.profiles.join(", "));
+    let joining = format!(
+        "worker {} has joined, with {}",
+        intro.name,
+        intro.profiles.join(", ")
+    );
     let name = intro.name.clone();
     let (joined, chores) = scheduling::join(c, intro, out);
     let joined = joined?;
@@ -64,7 +70,10 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore>
 
 /// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid or that of a
 /// check, or the tile has a crew under another lease that is.
-pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
+pub(crate) fn lead(
+    c: &Coordinator,
+    lease: Lease,
+) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
     // Reads a file, before anybody has to wait.
     let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
     // The machine hears of crews in the order in which they open and close.
@@ -89,7 +98,11 @@ pub(crate) fn lead(c: &Coordinator, lease: Lease) -> Option<(Arc<Room>, mpsc::Re
 pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
     let _turn = c.crews.turn();
     // The same leader may have opened another crew meanwhile.
-    if c.crews.close(room) { tell(c, Event::CrewClosed(room.lease)) } else { Vec::new() }
+    if c.crews.close(room) {
+        tell(c, Event::CrewClosed(room.lease))
+    } else {
+        Vec::new()
+    }
 }
 
 /// Acts on a message of a worker.

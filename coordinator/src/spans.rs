@@ -80,19 +80,25 @@ struct Leased {
 
 impl JobSpans {
     fn span(&self, name: &'static str, begun: Begun, job: JobId) -> Span {
-        Span::of(self.trace, name, begun).below(self.trace.job()).number(JOB, job.0)
+        Span::of(self.trace, name, begun)
+            .below(self.trace.job())
+            .number(JOB, job.0)
     }
 
     /// Since when a tile has waited for a worker.
     fn waits_since(&self, tile: TileIndex, needs: &[u32]) -> Begun {
         let needed = needs.iter().map(|need| TileIndex(*need));
-        let moved = needed.chain([tile]).filter_map(|tile| self.moved.get(&tile));
+        let moved = needed
+            .chain([tile])
+            .filter_map(|tile| self.moved.get(&tile));
         moved.fold(self.free, |since, moved| since.max(*moved))
     }
 
     /// Ends a lease, if it is open.
     fn end_lease(&mut self, traces: &Traces, lease: &Lease, how: &'static str, now: Begun) {
-        let Some(leased) = self.leases.remove(lease) else { return };
+        let Some(leased) = self.leases.remove(lease) else {
+            return;
+        };
         self.spent.insert(lease.id);
         let span = Span::of(self.trace, "lease", leased.begun)
             .known_as(lease_id(self.trace, lease))
@@ -111,7 +117,9 @@ impl JobSpans {
     /// Ends all leases for which `ends` holds.
     fn end_leases(&mut self, traces: &Traces, now: Begun, ends: impl Fn(&Lease) -> bool) {
         let leases: Vec<Lease> = self.leases.keys().copied().filter(ends).collect();
-        leases.iter().for_each(|lease| self.end_lease(traces, lease, TAKEN_BACK, now));
+        leases
+            .iter()
+            .for_each(|lease| self.end_lease(traces, lease, TAKEN_BACK, now));
     }
 }
 
@@ -136,7 +144,8 @@ impl Spans {
 
     /// The trace of a job; `None` where none are sent.
     pub(crate) fn trace_of(&self, job: &JobRecord) -> Option<TraceId> {
-        self.on().map(|_| TraceId::of_job(&job.key, job.id.0, job.submitted_at_ms))
+        self.on()
+            .map(|_| TraceId::of_job(&job.key, job.id.0, job.submitted_at_ms))
     }
 
     /// The trace of a job that has not ended.
@@ -162,17 +171,27 @@ impl Spans {
 
     /// A job has come into the scheduler.
     pub(crate) fn taken_up(&self, job: &Job) {
-        let Some(trace) = self.trace_of(&job.record) else { return };
+        let Some(trace) = self.trace_of(&job.record) else {
+            return;
+        };
         let mut open = self.open();
         let again = open.ended.contains(&job.record.id);
-        let (leases, spent) =
-            open.jobs.remove(&job.record.id).map(|job| (job.leases, job.spent)).unwrap_or_default();
+        let (leases, spent) = open
+            .jobs
+            .remove(&job.record.id)
+            .map(|job| (job.leases, job.spent))
+            .unwrap_or_default();
         let spans = JobSpans {
             trace,
             free: Begun::now(),
             is_paused: job.record.state.phase() == JobPhase::Paused,
             again,
-            has_needs: job.work.plan.tiles.iter().any(|tile| !tile.needs.is_empty()),
+            has_needs: job
+                .work
+                .plan
+                .tiles
+                .iter()
+                .any(|tile| !tile.needs.is_empty()),
             leases,
             spent,
             moved: BTreeMap::new(),
@@ -183,7 +202,9 @@ impl Spans {
     fn changed(&self, traces: &Traces, record: &JobRecord) {
         let (id, phase) = (record.id, record.state.phase());
         let mut open = self.open();
-        let Some(job) = open.jobs.get_mut(&id) else { return };
+        let Some(job) = open.jobs.get_mut(&id) else {
+            return;
+        };
         let was_paused = std::mem::replace(&mut job.is_paused, phase == JobPhase::Paused);
         if was_paused && !job.is_paused {
             job.free = Begun::now();
@@ -196,7 +217,9 @@ impl Spans {
         // Where a span of this id was sent, another one below it says the rest. After a restart in between
         // nobody remembers, and it is sent once more.
         let whole = match job.again {
-            false => Span::since(job.trace, "job", record.submitted_at_ms).known_as(job.trace.job()),
+            false => {
+                Span::since(job.trace, "job", record.submitted_at_ms).known_as(job.trace.job())
+            }
             true => job.span("job", job.free, id),
         };
         let (end, bytes) = match &record.state {
@@ -204,7 +227,11 @@ impl Spans {
             JobState::Failed { .. } => (FAILED, 0),
             _ => ("cancelled", 0),
         };
-        let whole = if job.again { whole } else { whole.number(JOB, id.0) };
+        let whole = if job.again {
+            whole
+        } else {
+            whole.number(JOB, id.0)
+        };
         let whole = whole
             .number(TILES, record.tiles)
             .name(PROFILE, record.profile.as_deref().unwrap_or("unbound"))
@@ -223,7 +250,12 @@ impl Spans {
     pub(crate) fn planned(&self, id: JobId, begun: Begun, tiles: usize, cause: Cause) {
         let Some(traces) = self.on() else { return };
         if let Some(job) = self.open().jobs.get(&id) {
-            traces.send(job.span("plan", begun, id).number(TILES, tiles as u64).linked(cause).end());
+            traces.send(
+                job.span("plan", begun, id)
+                    .number(TILES, tiles as u64)
+                    .linked(cause)
+                    .end(),
+            );
         }
     }
 
@@ -231,15 +263,31 @@ impl Spans {
     pub(crate) fn leased(&self, lease: &Lease, worker: &str, machine: &Machine) {
         let Some(traces) = self.on() else { return };
         let mut open = self.open();
-        let Some(job) = open.jobs.get_mut(&lease.job) else { return };
+        let Some(job) = open.jobs.get_mut(&lease.job) else {
+            return;
+        };
         let now = Begun::now();
         // Those of which nobody was told that they have ended.
-        job.end_leases(traces, now, |other| other.tile == lease.tile && !machine.is_leased(other));
-        let needs = machine.job(lease.job).map(|job| &*job.work.plan.tiles[lease.tile.at()].needs);
+        job.end_leases(traces, now, |other| {
+            other.tile == lease.tile && !machine.is_leased(other)
+        });
+        let needs = machine
+            .job(lease.job)
+            .map(|job| &*job.work.plan.tiles[lease.tile.at()].needs);
         let since = job.waits_since(lease.tile, needs.unwrap_or_default());
-        let wait = job.span("wait", since, lease.job).number(TILE, lease.tile.0).name(WORKER, worker);
+        let wait = job
+            .span("wait", since, lease.job)
+            .number(TILE, lease.tile.0)
+            .name(WORKER, worker);
         traces.send(wait.end_at(now));
-        job.leases.insert(*lease, Leased { begun: now, worker: worker.to_owned(), is_older: false });
+        job.leases.insert(
+            *lease,
+            Leased {
+                begun: now,
+                worker: worker.to_owned(),
+                is_older: false,
+            },
+        );
     }
 
     /// A worker has come back with leases, some of which an earlier coordinator gave.
@@ -249,9 +297,17 @@ impl Spans {
         }
         let mut open = self.open();
         for lease in kept {
-            if let Some(job) = open.jobs.get_mut(&lease.job).filter(|job| !job.spent.contains(&lease.id)) {
+            if let Some(job) = open
+                .jobs
+                .get_mut(&lease.job)
+                .filter(|job| !job.spent.contains(&lease.id))
+            {
                 let begun = Begun::now();
-                let leased = || Leased { begun, worker: worker.to_owned(), is_older: true };
+                let leased = || Leased {
+                    begun,
+                    worker: worker.to_owned(),
+                    is_older: true,
+                };
                 job.leases.entry(*lease).or_insert_with(leased);
             }
         }
@@ -276,13 +332,18 @@ impl Spans {
     ) {
         let Some(traces) = self.on() else { return };
         let mut open = self.open();
-        let Some(job) = open.jobs.get_mut(&lease.job) else { return };
+        let Some(job) = open.jobs.get_mut(&lease.job) else {
+            return;
+        };
         let now = Begun::now();
         if !job.spent.contains(&lease.id) {
             // After a restart an output may come before its worker, and the worker says how long it took.
             let since = Begun::ago(Duration::from_millis(stats.millis) + begun.elapsed());
-            let leased =
-                || Leased { begun: since, worker: worker_name(&stats.worker).to_owned(), is_older: true };
+            let leased = || Leased {
+                begun: since,
+                worker: worker_name(&stats.worker).to_owned(),
+                is_older: true,
+            };
             let leased = job.leases.entry(*lease).or_insert_with(leased);
             if leased.is_older && leased.begun.is_after(since) {
                 leased.begun = since;
@@ -306,9 +367,15 @@ impl Spans {
     pub(crate) fn assembled(&self, id: JobId, begun: Begun, bytes: Option<u64>) {
         let Some(traces) = self.on() else { return };
         if let Some(job) = self.open().jobs.get(&id) {
-            let span = job.span("assemble", begun, id).number(BYTES, bytes.unwrap_or(0));
+            let span = job
+                .span("assemble", begun, id)
+                .number(BYTES, bytes.unwrap_or(0));
             let end = if bytes.is_some() { DONE } else { FAILED };
-            traces.send(span.word(END, end).failed(bytes.is_none().then_some(end)).end());
+            traces.send(
+                span.word(END, end)
+                    .failed(bytes.is_none().then_some(end))
+                    .end(),
+            );
         }
     }
 }

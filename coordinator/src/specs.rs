@@ -24,7 +24,11 @@ pub(crate) fn stored(blobs: &dyn Blobs, spec: &JobSpec) -> Result<Vec<u8>, BlobE
     let viewpoints = std::mem::take(&mut message.viewpoints);
     let (kind, blob) = match &message.division {
         Some(v1::job_spec::Division::Tree(_)) => {
-            let parts = v1::JobSpec { viewpoints, division: message.division.take(), ..Default::default() };
+            let parts = v1::JobSpec {
+                viewpoints,
+                division: message.division.take(),
+                ..Default::default()
+            };
             (PARTS, parts.encode_to_vec())
         }
         _ => (NAMED, viewpoints),
@@ -41,12 +45,16 @@ pub(crate) fn stored(blobs: &dyn Blobs, spec: &JobSpec) -> Result<Vec<u8>, BlobE
 /// # Errors
 /// The reason, when it cannot be decoded.
 pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String> {
-    let named = bytes.split_first().filter(|(kind, _)| [NAMED, PARTS].contains(kind));
+    let named = bytes
+        .split_first()
+        .filter(|(kind, _)| [NAMED, PARTS].contains(kind));
     let (rest, digest) = match named.and_then(|(_, bytes)| bytes.split_first_chunk::<32>()) {
         Some((digest, rest)) => (rest, Some(*digest)),
         None => (bytes, None),
     };
-    v1::JobSpec::decode(rest).map(|spec| (spec, digest)).map_err(|e| format!("{e}; submit it again"))
+    v1::JobSpec::decode(rest)
+        .map(|spec| (spec, digest))
+        .map_err(|e| format!("{e}; submit it again"))
 }
 
 /// The receivers that a record's specification names, if it can be read.
@@ -57,8 +65,12 @@ pub(crate) fn receivers(bytes: &[u8]) -> Option<v1::Ambient> {
 /// The blobs that a record's specification names: its large parts, and its receivers. A specification of
 /// another version names nothing that can be read.
 pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
-    let Ok((spec, parts)) = part(bytes) else { return Vec::new() };
-    let receivers = spec.ambient.and_then(|ambient| ambient.receivers.try_into().ok());
+    let Ok((spec, parts)) = part(bytes) else {
+        return Vec::new();
+    };
+    let receivers = spec
+        .ambient
+        .and_then(|ambient| ambient.receivers.try_into().ok());
     parts.into_iter().chain(receivers).collect()
 }
 
@@ -70,11 +82,12 @@ pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<v1::JobSpec, Stri
     let (mut spec, digest) = part(bytes)?;
     if let Some(digest) = digest {
         let blob = blobs.read(&digest);
-        let blob =
-            blob.map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
+        let blob = blob
+            .map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
         if bytes.first() == Some(&PARTS) {
             let parts = v1::JobSpec::decode(&*blob);
-            let parts = parts.map_err(|e| format!("its boxes cannot be read: {e}; submit it again"))?;
+            let parts =
+                parts.map_err(|e| format!("its boxes cannot be read: {e}; submit it again"))?;
             (spec.viewpoints, spec.division) = (parts.viewpoints, parts.division);
         } else {
             spec.viewpoints = blob;
@@ -89,7 +102,11 @@ pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<v1::JobSpec, Stri
 /// The reason, when it cannot be decoded or read.
 pub(crate) fn planned(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
     let (spec, _) = part(bytes)?;
-    let spec = if spec.division.is_some() { spec } else { whole(blobs, bytes)? };
+    let spec = if spec.division.is_some() {
+        spec
+    } else {
+        whole(blobs, bytes)?
+    };
     JobSpec::from_proto(&spec, None).map_err(|e| e.to_string())
 }
 
@@ -107,15 +124,27 @@ mod tests {
     #[test]
     fn a_large_specification_comes_back_from_its_blob() {
         let blobs = MemoryBlobs::default();
-        let view_box = Aabb { min: Vec3::ZERO, max: Vec3::ONE };
+        let view_box = Aabb {
+            min: Vec3::ZERO,
+            max: Vec3::ONE,
+        };
         let grid = [16, 16, 16];
         let mut spec = JobSpec::new([7; 32], Division::Grid(grid), view_box);
-        assert_eq!(stored(&blobs, &spec).unwrap(), spec.to_proto().encode_to_vec());
+        assert_eq!(
+            stored(&blobs, &spec).unwrap(),
+            spec.to_proto().encode_to_vec()
+        );
         let mut marks = Viewpoints::none(grid);
-        (0..64).step_by(3).for_each(|x| (0..64).step_by(5).for_each(|y| marks.mark([x, y, (x + y) % 64])));
+        (0..64).step_by(3).for_each(|x| {
+            (0..64)
+                .step_by(5)
+                .for_each(|y| marks.mark([x, y, (x + y) % 64]))
+        });
         spec.viewpoints = Some(Arc::new(marks));
         let bytes = stored(&blobs, &spec).unwrap();
-        assert!(bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES);
+        assert!(
+            bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES
+        );
         assert_eq!(whole(&blobs, &bytes).unwrap(), spec.to_proto());
         assert!(part(&bytes).unwrap().0.viewpoints.is_empty());
         let other = MemoryBlobs::default();
@@ -126,7 +155,10 @@ mod tests {
     #[test]
     fn a_large_tree_comes_back_from_its_blob() {
         let blobs = MemoryBlobs::default();
-        let view_box = Aabb { min: Vec3::ZERO, max: Vec3::splat(1000.0) };
+        let view_box = Aabb {
+            min: Vec3::ZERO,
+            max: Vec3::splat(1000.0),
+        };
         // Slabs of width 1.
         let axes: Vec<u32> = (1..1000).flat_map(|_| [2, 3]).chain([3]).collect();
         assert!(KdTree::new(&axes, &[]).is_err());
@@ -146,7 +178,9 @@ mod tests {
         let tree = Division::Tree(Arc::new(KdTree::new(&nodes.0, &nodes.1).unwrap()));
         let spec = JobSpec::new([7; 32], tree, view_box);
         let bytes = stored(&blobs, &spec).unwrap();
-        assert!(bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES);
+        assert!(
+            bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES
+        );
         let back = whole(&blobs, &bytes).unwrap();
         assert_eq!(back, spec.to_proto());
         assert_eq!(JobSpec::from_proto(&back, None).unwrap(), spec);

@@ -40,7 +40,9 @@ pub(crate) enum SpoolError {
     #[error(transparent)]
     Chunk(#[from] ChunkError),
     /// The length is not the announced one.
-    #[error("{got} bytes arrived or were announced by the first chunk; the header announced {announced}")]
+    #[error(
+        "{got} bytes arrived or were announced by the first chunk; the header announced {announced}"
+    )]
     Length {
         /// The announced length.
         announced: u64,
@@ -57,7 +59,11 @@ impl Spool {
     ///
     /// # Errors
     /// [`SpoolError::Beyond`] when unfinished uploads have too many bytes already.
-    pub(crate) fn begin(c: &Coordinator, sender: Sender<'_>, announced: u64) -> Result<Self, SpoolError> {
+    pub(crate) fn begin(
+        c: &Coordinator,
+        sender: Sender<'_>,
+        announced: u64,
+    ) -> Result<Self, SpoolError> {
         let reserved = c.unfinished.reserve(sender, announced);
         let reserved = reserved.inspect_err(|beyond| c.metrics.refused(beyond.name()))?;
         Ok(Self {
@@ -76,7 +82,10 @@ impl Spool {
     /// [`SpoolError`] when the chunk is not the next one, or cannot be written.
     pub(crate) fn push(&mut self, c: &Coordinator, chunk: &v1::Chunk) -> Result<(), SpoolError> {
         if chunk.offset == 0 && chunk.total != self.announced {
-            return Err(SpoolError::Length { announced: self.announced, got: chunk.total });
+            return Err(SpoolError::Length {
+                announced: self.announced,
+                got: chunk.total,
+            });
         }
         self.sequence.next(chunk)?;
         self.append(c, &chunk.data)
@@ -89,7 +98,10 @@ impl Spool {
     pub(crate) fn append(&mut self, c: &Coordinator, bytes: &[u8]) -> Result<(), SpoolError> {
         let length = self.length.saturating_add(bytes.len() as u64);
         if length > self.announced {
-            return Err(SpoolError::Length { announced: self.announced, got: length });
+            return Err(SpoolError::Length {
+                announced: self.announced,
+                got: length,
+            });
         }
         if let Place::Memory(few) = &self.place
             && few.len() + bytes.len() > MAX_IN_MEMORY
@@ -122,7 +134,10 @@ impl Spool {
     /// [`SpoolError::Length`] when bytes are missing.
     pub(crate) fn digest(&self) -> Result<Digest, SpoolError> {
         if self.length != self.announced {
-            return Err(SpoolError::Length { announced: self.announced, got: self.length });
+            return Err(SpoolError::Length {
+                announced: self.announced,
+                got: self.length,
+            });
         }
         Ok(*self.hasher.finalize().as_bytes())
     }
@@ -144,7 +159,8 @@ impl Spool {
     pub(crate) fn bytes(&mut self, c: &Coordinator) -> Result<Vec<u8>, BlobError> {
         // As many as have arrived, so that a short file needs little memory.
         let mut bytes = Vec::with_capacity(usize::try_from(self.length).unwrap_or(0));
-        self.read(c, |from| from.read_to_end(&mut bytes))?.map_err(|e| c.blobs.io_error(e))?;
+        self.read(c, |from| from.read_to_end(&mut bytes))?
+            .map_err(|e| c.blobs.io_error(e))?;
         Ok(bytes)
     }
 
@@ -185,8 +201,10 @@ mod tests {
     #[test]
     fn spool_keeps_exactly_announced_bytes() {
         let folder = tempfile::tempdir().unwrap();
-        let blobs: [Box<dyn crate::store::Blobs>; 2] =
-            [Box::new(MemoryBlobs::new()), Box::new(FileBlobs::open(folder.path()).unwrap())];
+        let blobs: [Box<dyn crate::store::Blobs>; 2] = [
+            Box::new(MemoryBlobs::new()),
+            Box::new(FileBlobs::open(folder.path()).unwrap()),
+        ];
         for blobs in blobs {
             let (store, clock) = (Box::new(MemoryStore::new()), Box::new(SystemClock));
             let c = Coordinator::new(Leases::default(), store, blobs, clock).unwrap();
@@ -196,22 +214,39 @@ mod tests {
                 assert!(spool.is_complete() && c.unfinished.of("ada") == n as u64);
                 assert_eq!(spool.digest().unwrap(), *blake3::hash(&bytes).as_bytes());
                 let mut read = Vec::new();
-                spool.read(&c, |from| from.read_to_end(&mut read).unwrap()).unwrap();
-                assert!(read == bytes && spool.bytes(&c).unwrap() == bytes, "{n} bytes");
+                spool
+                    .read(&c, |from| from.read_to_end(&mut read).unwrap())
+                    .unwrap();
+                assert!(
+                    read == bytes && spool.bytes(&c).unwrap() == bytes,
+                    "{n} bytes"
+                );
                 drop(spool);
                 assert_eq!(c.unfinished.of("ada"), 0);
                 // Fewer and more than were announced.
                 for announced in [n as u64 + 1, (n as u64).saturating_sub(1)] {
                     let wrong = filled(&c, &bytes, announced).err();
-                    assert!(wrong.is_some() == (announced != n as u64), "{n} of {announced} bytes");
+                    assert!(
+                        wrong.is_some() == (announced != n as u64),
+                        "{n} of {announced} bytes"
+                    );
                 }
             }
             // Bytes without chunks are counted, too.
             let mut spool = Spool::begin(&c, Sender::Worker, 3).unwrap();
             spool.append(&c, b"ab").unwrap();
             assert!(spool.digest().is_err());
-            assert!(matches!(spool.append(&c, b"cd"), Err(SpoolError::Length { announced: 3, got: 4 })));
-            assert!(matches!(Spool::begin(&c, Sender::Worker, u64::MAX), Err(SpoolError::Beyond(_))));
+            assert!(matches!(
+                spool.append(&c, b"cd"),
+                Err(SpoolError::Length {
+                    announced: 3,
+                    got: 4
+                })
+            ));
+            assert!(matches!(
+                Spool::begin(&c, Sender::Worker, u64::MAX),
+                Err(SpoolError::Beyond(_))
+            ));
         }
     }
 }

@@ -31,9 +31,14 @@ impl Farm {
         let keys = folder.path().join("keys");
         let text = format!("aws_access_key_id = {KEY}\naws_secret_access_key = {SECRET}\n");
         std::fs::write(&keys, text).unwrap();
-        let place =
-            format!("s3://farm/one?endpoint={}&keys={}&direct=yes", server.endpoint(), keys.display());
-        let BlobPlace::Bucket(place) = place.parse().unwrap() else { panic!("{place}") };
+        let place = format!(
+            "s3://farm/one?endpoint={}&keys={}&direct=yes",
+            server.endpoint(),
+            keys.display()
+        );
+        let BlobPlace::Bucket(place) = place.parse().unwrap() else {
+            panic!("{place}")
+        };
         let blobs = ObjectBlobs::open(&place, &folder.path().join("copies")).unwrap();
         let clock = Box::new(Arc::new(ManualClock::default()));
         let store = Box::new(MemoryStore::new());
@@ -42,7 +47,12 @@ impl Farm {
         two_tiles(&c, scene);
         let (_, mut orders) = join(&c, "a");
         let grants = [granted(&mut orders), granted(&mut orders)];
-        Self { c, grants, server, _folder: folder }
+        Self {
+            c,
+            grants,
+            server,
+            _folder: folder,
+        }
     }
 
     /// Objects beside the blobs.
@@ -52,16 +62,37 @@ impl Farm {
 }
 
 fn staged(lease: Lease, bytes: &[u8]) -> Staged {
-    let sha256 = ring::digest::digest(&ring::digest::SHA256, bytes).as_ref().try_into().unwrap();
-    Staged { lease, sha256, bytes: bytes.len() as u64 }
+    let sha256 = ring::digest::digest(&ring::digest::SHA256, bytes)
+        .as_ref()
+        .try_into()
+        .unwrap();
+    Staged {
+        lease,
+        sha256,
+        bytes: bytes.len() as u64,
+    }
 }
 
 /// Writes something; gives the status of the answer.
 fn put(address: &Address, bytes: &[u8]) -> u32 {
-    let (host, path) = address.url.strip_prefix("http://").unwrap().split_once('/').unwrap();
-    let headers: String =
-        address.headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
-    ask(&format!("http://{host}"), &format!("PUT /{path}"), &headers, bytes).0
+    let (host, path) = address
+        .url
+        .strip_prefix("http://")
+        .unwrap()
+        .split_once('/')
+        .unwrap();
+    let headers: String = address
+        .headers
+        .iter()
+        .map(|(name, value)| format!("{name}: {value}\r\n"))
+        .collect();
+    ask(
+        &format!("http://{host}"),
+        &format!("PUT /{path}"),
+        &headers,
+        bytes,
+    )
+    .0
 }
 
 /// Writes what an address is for.
@@ -70,7 +101,13 @@ fn write(address: &Address, bytes: &[u8]) {
 }
 
 fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), ResultError> {
-    let announced = Announced { lease: staged.lease, digest, bytes: staged.bytes, samples: 1, millis: 1 };
+    let announced = Announced {
+        lease: staged.lease,
+        digest,
+        bytes: staged.bytes,
+        samples: 1,
+        millis: 1,
+    };
     results::put(c, &announced, &Origin::Staged(staged), Weight::Any)
 }
 
@@ -78,26 +115,45 @@ fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), R
 fn an_output_that_was_written_counts_when_it_was_checked() {
     let farm = Farm::new();
     let (c, bytes) = (&farm.c, output(&farm.grants[0], &[0]));
-    let (of, digest) = (staged(farm.grants[0].lease, &bytes), *blake3::hash(&bytes).as_bytes());
+    let (of, digest) = (
+        staged(farm.grants[0].lease, &bytes),
+        *blake3::hash(&bytes).as_bytes(),
+    );
     // Nothing is there yet.
     let none = commit(c, &of, digest).unwrap_err();
-    assert!(matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"), "{none}");
+    assert!(
+        matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"),
+        "{none}"
+    );
     write(&results::address(c, &of).unwrap().unwrap(), &bytes);
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (1, false));
     let written = c.blobs.carried().unwrap().written;
     commit(c, &of, digest).unwrap();
-    assert_eq!(c.blobs.carried().unwrap().written, written, "the bucket copies it");
+    assert_eq!(
+        c.blobs.carried().unwrap().written,
+        written,
+        "the bucket copies it"
+    );
     assert_eq!(c.blobs.read(&digest).unwrap(), bytes);
     assert_eq!(farm.staged(), 0);
     // The same again, after the answer was lost: the worker sends it.
-    assert!(matches!(commit(c, &of, digest), Err(ResultError::Unstaged(_))));
+    assert!(matches!(
+        commit(c, &of, digest),
+        Err(ResultError::Unstaged(_))
+    ));
 }
 
 #[test]
 fn what_is_not_the_tiles_output_is_refused_and_removed() {
     let farm = Farm::new();
     let (c, lease) = (&farm.c, farm.grants[0].lease);
-    let unreached = output_of(&farm.grants[0], &CellSet { unreached: true, ..CellSet::default() });
+    let unreached = output_of(
+        &farm.grants[0],
+        &CellSet {
+            unreached: true,
+            ..CellSet::default()
+        },
+    );
     let of = staged(lease, &unreached);
     write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     // Under another digest, and as what it is.
@@ -105,18 +161,27 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
     assert_eq!(farm.staged(), 0);
     write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     let digest = *blake3::hash(&unreached).as_bytes();
-    assert!(matches!(commit(c, &of, digest), Err(ResultError::Viewpoints)));
+    assert!(matches!(
+        commit(c, &of, digest),
+        Err(ResultError::Viewpoints)
+    ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Other bytes than were signed, which this store refuses and keeps all the same.
     let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
-    assert_eq!(put(&results::address(c, &of).unwrap().unwrap(), &others), 400);
+    assert_eq!(
+        put(&results::address(c, &of).unwrap().unwrap(), &others),
+        400
+    );
     assert_eq!(farm.staged(), 1);
     assert!(matches!(commit(c, &of, digest), Err(ResultError::Digest)));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Longer than announced: it is read no further than that.
     write(&results::address(c, &of).unwrap().unwrap(), &unreached);
     let shorter = Staged { bytes: 3, ..of };
-    assert!(matches!(commit(c, &shorter, digest), Err(ResultError::Unstaged(_))));
+    assert!(matches!(
+        commit(c, &shorter, digest),
+        Err(ResultError::Unstaged(_))
+    ));
 }
 
 #[test]
@@ -125,14 +190,42 @@ fn only_who_holds_a_tile_may_write_and_one_output_alone() {
     let (c, lease) = (&farm.c, farm.grants[0].lease);
     let of = staged(lease, b"an output");
     assert!(results::address(c, &of).unwrap().is_some());
-    assert!(results::address(c, &of).unwrap().is_some(), "the answer may have been lost");
-    assert!(results::address(c, &staged(lease, b"another")).unwrap().is_none());
+    assert!(
+        results::address(c, &of).unwrap().is_some(),
+        "the answer may have been lost"
+    );
+    assert!(
+        results::address(c, &staged(lease, b"another"))
+            .unwrap()
+            .is_none()
+    );
     let mut of_nobody = lease;
     of_nobody.id.number += 100;
-    assert!(results::address(c, &staged(of_nobody, b"an output")).unwrap().is_none());
-    let elsewhere = Lease { tile: TileIndex(77), ..lease };
-    assert!(results::address(c, &staged(elsewhere, b"an output")).unwrap().is_none());
-    assert!(results::address(c, &Staged { bytes: u64::MAX, ..of }).unwrap().is_none());
+    assert!(
+        results::address(c, &staged(of_nobody, b"an output"))
+            .unwrap()
+            .is_none()
+    );
+    let elsewhere = Lease {
+        tile: TileIndex(77),
+        ..lease
+    };
+    assert!(
+        results::address(c, &staged(elsewhere, b"an output"))
+            .unwrap()
+            .is_none()
+    );
+    assert!(
+        results::address(
+            c,
+            &Staged {
+                bytes: u64::MAX,
+                ..of
+            }
+        )
+        .unwrap()
+        .is_none()
+    );
     // Nor is anything read for them.
     let read = c.blobs.carried().unwrap().read;
     assert!(commit(c, &staged(of_nobody, b"an output"), [1; 32]).is_err());

@@ -37,15 +37,38 @@ mod tests {
 
     #[test]
     fn a_lease_has_one_output() {
-        let id = LeaseId { epoch: Epoch(1), number: 1 };
-        let lease = Lease { job: JobId(1), tile: TileIndex(0), id };
-        let of = |sha256| Staged { lease, sha256: [sha256; 32], bytes: 1 };
+        let id = LeaseId {
+            epoch: Epoch(1),
+            number: 1,
+        };
+        let lease = Lease {
+            job: JobId(1),
+            tile: TileIndex(0),
+            id,
+        };
+        let of = |sha256| Staged {
+            lease,
+            sha256: [sha256; 32],
+            bytes: 1,
+        };
         let (staging, later) = (Staging::default(), Instant::now() + Duration::from_secs(60));
         assert!(staging.claims(&of(1), later) && staging.claims(&of(1), later));
         assert!(!staging.claims(&of(2), later));
-        let other = Staged { lease: Lease { tile: TileIndex(1), ..lease }, ..of(2) };
+        let other = Staged {
+            lease: Lease {
+                tile: TileIndex(1),
+                ..lease
+            },
+            ..of(2)
+        };
         assert!(staging.claims(&other, Instant::now()));
         // Its time is over.
-        assert!(staging.claims(&Staged { sha256: [3; 32], ..other }, later));
+        assert!(staging.claims(
+            &Staged {
+                sha256: [3; 32],
+                ..other
+            },
+            later
+        ));
     }
 }

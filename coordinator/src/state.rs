@@ -6,7 +6,8 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{
-    Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError,
+    Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+    TryLockError,
 };
 use std::time::{Duration, Instant};
 
@@ -54,7 +55,11 @@ pub struct Leases {
 
 impl Default for Leases {
     fn default() -> Self {
-        Self { ttl: Duration::from_secs(10), stuck: Duration::from_secs(600), spot_check: 0.0 }
+        Self {
+            ttl: Duration::from_secs(10),
+            stuck: Duration::from_secs(600),
+            spot_check: 0.0,
+        }
     }
 }
 
@@ -254,7 +259,9 @@ impl Coordinator {
         self.spans.send_to(traces);
         let scheduling = self.lock();
         let jobs = scheduling.machine.job_ids();
-        jobs.into_iter().filter_map(|id| scheduling.machine.job(id)).for_each(|job| self.spans.taken_up(job));
+        jobs.into_iter()
+            .filter_map(|id| scheduling.machine.job(id))
+            .for_each(|job| self.spans.taken_up(job));
     }
 
     /// Returns the current time, which the clock of retention has observed.
@@ -266,18 +273,25 @@ impl Coordinator {
 
     /// Returns the ages from which on retention deletes.
     pub(crate) fn ages(&self) -> Ages {
-        Ages { jobs: self.retention.keep, blobs: Some(self.retention.grace) }
+        Ages {
+            jobs: self.retention.keep,
+            blobs: Some(self.retention.grace),
+        }
     }
 
     /// Locks the clock of retention.
     pub(crate) fn retention_clock(&self) -> MutexGuard<'_, RetentionClock> {
         // Each change is complete before anything can panic.
-        self.retention_clock.lock().unwrap_or_else(PoisonError::into_inner)
+        self.retention_clock
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Locks the unneeded blobs with times in the future.
     pub(crate) fn future_blobs(&self) -> MutexGuard<'_, FutureBlobs> {
-        self.future_blobs.lock().unwrap_or_else(PoisonError::into_inner)
+        self.future_blobs
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Replaces the clock of retention by one that continues the last stamp of the store.
@@ -308,13 +322,18 @@ impl Coordinator {
     pub(crate) fn now_plain(&self) -> Now {
         let now = self.now();
         let ms = now.at.saturating_duration_since(self.origin).as_millis() as u64;
-        Now { ms, unix_ms: now.unix_ms }
+        Now {
+            ms,
+            unix_ms: now.unix_ms,
+        }
     }
 
     /// The scheduler. Its state is derived from the store; a panic in the middle of a change can lose a
     /// lease, not a result.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduling> {
-        self.scheduling.lock().unwrap_or_else(PoisonError::into_inner)
+        self.scheduling
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Who watches which job. May be taken under the scheduler's lock.
@@ -325,7 +344,9 @@ impl Coordinator {
     /// The right to pause jobs for want of a scene or receivers, or to let them go on. To be taken before
     /// [`Self::turn`].
     pub(crate) fn lost_turn(&self) -> MutexGuard<'_, ()> {
-        self.lost_turn.lock().unwrap_or_else(PoisonError::into_inner)
+        self.lost_turn
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The right to change records of jobs, until the scheduler has heard of the change.
@@ -335,7 +356,9 @@ impl Coordinator {
 
     /// The right to add to what a user has.
     pub(crate) fn quota_turn(&self) -> MutexGuard<'_, ()> {
-        self.quota_turn.lock().unwrap_or_else(PoisonError::into_inner)
+        self.quota_turn
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Held while an output is stored: no output is removed meanwhile.

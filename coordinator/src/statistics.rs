@@ -11,7 +11,9 @@ pub(crate) struct Statistics {
 
 impl Default for Statistics {
     fn default() -> Self {
-        Self { values: std::array::from_fn(|_| Vec::new()) }
+        Self {
+            values: std::array::from_fn(|_| Vec::new()),
+        }
     }
 }
 
@@ -25,8 +27,15 @@ impl Statistics {
 
     /// The columns, without those that are zero everywhere.
     pub(crate) fn columns(self) -> Vec<Column> {
-        let column = |(name, values): (&str, Vec<u64>)| Column { name: name.to_owned(), values };
+        let column = |(name, values): (&str, Vec<u64>)| Column {
+            name: name.to_owned(),
+            values,
+        };
         let kept = |(_, values): &(&str, Vec<u64>)| values.iter().any(|v| *v != 0);
-        column_names().zip(self.values).filter(kept).map(column).collect()
+        column_names()
+            .zip(self.values)
+            .filter(kept)
+            .map(column)
+            .collect()
     }
 }

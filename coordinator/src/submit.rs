@@ -18,7 +18,9 @@ use crate::scheduling::tell;
 use crate::spans::Cause;
 use crate::specs;
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request};
+use crate::store::{
+    BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request,
+};
 
 /// A specification to be submitted.
 pub(crate) struct Submission {
@@ -73,9 +75,20 @@ pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
 
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
-pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Submitted, SubmitError> {
+pub(crate) fn submit(
+    c: &Arc<Coordinator>,
+    submission: &Submission,
+) -> Result<Submitted, SubmitError> {
     let begun = Begun::now();
-    let Submission { request_id, name, owner, user, priority, spec, cause } = submission;
+    let Submission {
+        request_id,
+        name,
+        owner,
+        user,
+        priority,
+        spec,
+        cause,
+    } = submission;
     let plan = plan(spec)?;
     if spec.method != Method::Aggressive {
         let facts = scenes::facts(c, &spec.scene)?;
@@ -97,7 +110,9 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         )));
     }
     if let Some(ambient) = spec.ambient
-        && let Some(triangle) = receivers::stored(c, ambient.receivers)?.facts.greatest_triangle
+        && let Some(triangle) = receivers::stored(c, ambient.receivers)?
+            .facts
+            .greatest_triangle
         && triangle >= scenes::facts(c, &spec.scene)?.triangles
     {
         return Err(SubmitError::Spec(format!(
@@ -108,10 +123,21 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
     let _having = turn_of(c, owner);
     let bytes = spec.ambient.map_or(0, |ambient| ambient.bytes);
     // What was sent for this job counts until now as a chunk.
-    let sent = spec.ambient.filter(|ambient| c.uploads.has(owner, &ambient.receivers)).map_or(0, |_| bytes);
-    let more = Usage { bytes, jobs: 1, tiles: plan.tiles.len() as u64, ..Usage::default() };
+    let sent = spec
+        .ambient
+        .filter(|ambient| c.uploads.has(owner, &ambient.receivers))
+        .map_or(0, |_| bytes);
+    let more = Usage {
+        bytes,
+        jobs: 1,
+        tiles: plan.tiles.len() as u64,
+        ..Usage::default()
+    };
     // A job that is there already is no more.
-    let known = c.store.job_by_key(&owned_key(spec.key(), owner))?.map(|job| job.state.phase());
+    let known = c
+        .store
+        .job_by_key(&owned_key(spec.key(), owner))?
+        .map(|job| job.state.phase());
     if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
         may_have(c, owner, more, sent)?;
     }
@@ -134,9 +160,10 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
     };
     let mut submitted = c.store.submit_job(job.clone()).map_err(|e| match e {
         // By the id that the client gave.
-        StoreError::RequestIdReused { job, .. } => {
-            StoreError::RequestIdReused { request_id: request_id.clone(), job }
-        }
+        StoreError::RequestIdReused { job, .. } => StoreError::RequestIdReused {
+            request_id: request_id.clone(),
+            job,
+        },
         e => e,
     })?;
     if submitted.existing
@@ -153,7 +180,10 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
             && result_of(c, submitted.id)? == Some(result)
         {
             // The outputs of its tiles were removed, so the job begins from nothing.
-            tracing::warn!("the result of job {} is lost ({e}); it is baked again", submitted.id);
+            tracing::warn!(
+                "the result of job {} is lost ({e}); it is baked again",
+                submitted.id
+            );
             c.blobs.remove(&result)?;
             c.store.delete_job(submitted.id)?;
             submitted = c.store.submit_job(job)?;
@@ -169,8 +199,15 @@ pub(crate) fn submit(c: &Arc<Coordinator>, submission: &Submission) -> Result<Su
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
         let tiles = c.store.tiles(id)?;
         let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
-        tracing::info!("job {id} ({name:?}) is submitted; tiles: {}", plan.tiles.len());
-        let by = if user.is_empty() { String::new() } else { format!(" by {user}") };
+        tracing::info!(
+            "job {id} ({name:?}) is submitted; tiles: {}",
+            plan.tiles.len()
+        );
+        let by = if user.is_empty() {
+            String::new()
+        } else {
+            format!(" by {user}")
+        };
         let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
         c.happened(Happening::of_job(Kind::Submitted, id, text));
         chores = tell(c, Event::TakenUp(Box::new(job)));

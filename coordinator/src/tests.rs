@@ -38,15 +38,27 @@ impl Outbox for mpsc::Sender<Order> {
 pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
-    let c = Coordinator::new(Leases::default(), store, blobs, Box::new(Arc::clone(&clock))).unwrap();
+    let c = Coordinator::new(
+        Leases::default(),
+        store,
+        blobs,
+        Box::new(Arc::clone(&clock)),
+    )
+    .unwrap();
     let scene = c.take_scene(&triangle()).unwrap();
     (c, clock, scene)
 }
 
 /// A scene of one triangle.
 pub(crate) fn triangle() -> Scene {
-    let triangle = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+    let triangle = Triangle {
+        v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+    };
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: 1,
+    }];
     Scene::new("test", vec![triangle], objects).unwrap()
 }
 
@@ -63,20 +75,33 @@ const MASKED: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
 #[test]
 fn a_scene_with_masks_is_refused_by_exact_methods() {
     let (c, ..) = coordinator();
-    let options = sightline_scene::load::Options { alpha_textures: true, ..Default::default() };
-    let loaded = sightline_scene::load::load_bytes_with("mask.gltf", MASKED.as_bytes(), None, &options);
+    let options = sightline_scene::load::Options {
+        alpha_textures: true,
+        ..Default::default()
+    };
+    let loaded =
+        sightline_scene::load::load_bytes_with("mask.gltf", MASKED.as_bytes(), None, &options);
     let scene = c.take_scene(&loaded.unwrap().scene).unwrap();
     let job = |method: Method| {
         let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
-        let spec = JobSpec { method, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
-        let submission =
-            Submission { request_id: method.to_string(), name: "masked".to_owned(), ..nameless(spec) };
+        let spec = JobSpec {
+            method,
+            ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
+        };
+        let submission = Submission {
+            request_id: method.to_string(),
+            name: "masked".to_owned(),
+            ..nameless(spec)
+        };
         submit(&c, &submission)
     };
     assert!(job(Method::Aggressive).is_ok());
     for method in [Method::Exact, Method::Verified] {
         let why = job(method).unwrap_err();
-        assert!(matches!(&why, SubmitError::Spec(text) if text.contains("the method aggressive")), "{why}");
+        assert!(
+            matches!(&why, SubmitError::Spec(text) if text.contains("the method aggressive")),
+            "{why}"
+        );
     }
 }
 
@@ -86,7 +111,10 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
         scene,
         division: Division::Grid([2, 1, 1]),
         view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-        sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
+        sampling: SamplingParams {
+            cell_to_cell: CellToCell::Off,
+            ..SamplingParams::default()
+        },
         backend: BackendChoice::Cpu,
         seed: 1,
         time_budget_ms: 0,
@@ -97,8 +125,11 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
         ambient: None,
         up: None,
     };
-    let submission =
-        Submission { request_id: "one".to_owned(), name: "two tiles".to_owned(), ..nameless(spec) };
+    let submission = Submission {
+        request_id: "one".to_owned(),
+        name: "two tiles".to_owned(),
+        ..nameless(spec)
+    };
     submit(c, &submission).unwrap().id
 }
 
@@ -108,8 +139,15 @@ pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receive
     let profiles = vec!["cpu/test".to_owned()];
     let (name, signature) = (name.to_owned(), name.to_owned());
     let version = String::new();
-    let intro =
-        Introduction { name, signature, version, instance: 0, profiles, held: Vec::new(), helps: false };
+    let intro = Introduction {
+        name,
+        signature,
+        version,
+        instance: 0,
+        profiles,
+        held: Vec::new(),
+        helps: false,
+    };
     let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
     do_chores(c, chores);
     let worker = joined.worker;
@@ -126,7 +164,13 @@ pub(crate) fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
 
 /// The encoded output of a granted tile in which every cell sees `visible`.
 pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
-    output_of(grant, &CellSet { visible: visible.to_vec(), ..CellSet::default() })
+    output_of(
+        grant,
+        &CellSet {
+            visible: visible.to_vec(),
+            ..CellSet::default()
+        },
+    )
 }
 
 /// The same with this cell in place of every cell.
@@ -149,7 +193,13 @@ pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(
     let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
     results::put(
         c,
-        &Announced { lease, digest, bytes: bytes_announced, samples: 3, millis: 4 },
+        &Announced {
+            lease,
+            digest,
+            bytes: bytes_announced,
+            samples: 3,
+            millis: 4,
+        },
         &Origin::Sent(bytes),
         Weight::Any,
     )
@@ -159,22 +209,59 @@ pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(
 fn a_job_runs_in_memory_from_submission_to_result() {
     let (c, clock, scene) = coordinator();
     let id = two_tiles(&c, scene);
-    assert_eq!(jobs::summary(&c, id).unwrap().record.state, JobState::Queued);
+    assert_eq!(
+        jobs::summary(&c, id).unwrap().record.state,
+        JobState::Queued
+    );
     let (_, mut orders) = join(&c, "a");
     let grants = [granted(&mut orders), granted(&mut orders)];
     assert_eq!(jobs::summary(&c, id).unwrap().tiles_running, 2);
     let empty = output(&grants[0], &[]);
-    assert!(matches!(put(&c, &grants[0], &empty[1..]), Err(ResultError::Encoding(_))));
+    assert!(matches!(
+        put(&c, &grants[0], &empty[1..]),
+        Err(ResultError::Encoding(_))
+    ));
     // The job has viewpoints in all cells, and asks for no contributions.
-    let unreached = output_of(&grants[0], &CellSet { unreached: true, ..CellSet::default() });
-    assert!(matches!(put(&c, &grants[0], &unreached), Err(ResultError::Viewpoints)));
-    let hits = Some(Hits { viewpoints: 1, lines: 1, counts: Vec::new() });
-    let hits = output_of(&grants[0], &CellSet { hits, ..CellSet::default() });
-    assert!(matches!(put(&c, &grants[0], &hits), Err(ResultError::Contributions)));
+    let unreached = output_of(
+        &grants[0],
+        &CellSet {
+            unreached: true,
+            ..CellSet::default()
+        },
+    );
+    assert!(matches!(
+        put(&c, &grants[0], &unreached),
+        Err(ResultError::Viewpoints)
+    ));
+    let hits = Some(Hits {
+        viewpoints: 1,
+        lines: 1,
+        counts: Vec::new(),
+    });
+    let hits = output_of(
+        &grants[0],
+        &CellSet {
+            hits,
+            ..CellSet::default()
+        },
+    );
+    assert!(matches!(
+        put(&c, &grants[0], &hits),
+        Err(ResultError::Contributions)
+    ));
     put(&c, &grants[0], &empty).unwrap();
     put(&c, &grants[0], &empty).unwrap();
-    assert!(matches!(put(&c, &grants[0], &output(&grants[0], &[0])), Err(ResultError::Conflict)));
-    assert!(matches!(jobs::result(&c, id), Err(JobError::NoResult { phase: JobPhase::Running, .. })));
+    assert!(matches!(
+        put(&c, &grants[0], &output(&grants[0], &[0])),
+        Err(ResultError::Conflict)
+    ));
+    assert!(matches!(
+        jobs::result(&c, id),
+        Err(JobError::NoResult {
+            phase: JobPhase::Running,
+            ..
+        })
+    ));
     clock.advance(Duration::from_secs(5));
     put(&c, &grants[1], &output(&grants[1], &[0])).unwrap();
     // The result is assembled on a thread of its own.
@@ -189,12 +276,16 @@ fn a_job_runs_in_memory_from_submission_to_result() {
         std::thread::sleep(Duration::from_millis(10));
     };
     assert_eq!((done.tiles_done, done.samples, done.tile_millis), (2, 6, 8));
-    assert_eq!(done.record.finished_at_ms, Some(done.record.submitted_at_ms + 5000));
+    assert_eq!(
+        done.record.finished_at_ms,
+        Some(done.record.submitted_at_ms + 5000)
+    );
     let result = c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap();
     let pvs = Pvs::from_bytes(result).unwrap();
     let at = |x| {
         let mut ids = Vec::new();
-        pvs.visible(pvs.find_cell([x, 0.5, 0.5]).unwrap(), &mut ids).unwrap();
+        pvs.visible(pvs.find_cell([x, 0.5, 0.5]).unwrap(), &mut ids)
+            .unwrap();
         ids
     };
     assert_eq!((at(0.25), at(0.75)), (vec![], vec![0]));
@@ -202,11 +293,21 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
     // The same job again is answered with the result, and a lost result is baked again.
     let spec = JobSpec::clone(&grants[0].spec);
-    let again = Submission { request_id: "two".to_owned(), ..nameless(spec) };
+    let again = Submission {
+        request_id: "two".to_owned(),
+        ..nameless(spec)
+    };
     let answer = submit(&c, &again).unwrap();
     assert!(answer.existing && answer.id == id);
     c.blobs.remove(&jobs::result(&c, id).unwrap()).unwrap();
-    let answer = submit(&c, &Submission { request_id: "three".to_owned(), ..again }).unwrap();
+    let answer = submit(
+        &c,
+        &Submission {
+            request_id: "three".to_owned(),
+            ..again
+        },
+    )
+    .unwrap();
     assert!(!answer.existing && answer.id != id);
 }
 
@@ -219,7 +320,10 @@ fn a_lease_that_is_not_renewed_goes_to_another_worker() {
     do_chores(&c, sessions::heard(&c, a, Message::Draining));
     clock.advance(Duration::from_secs(11));
     do_chores(&c, lifecycle::tick(&c));
-    assert_eq!(leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))), [true, true]);
+    assert_eq!(
+        leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))),
+        [true, true]
+    );
     let (_, mut orders_b) = join(&c, "b");
     assert_eq!(granted(&mut orders_b).lease.tile, leases[0].tile);
 }
@@ -240,8 +344,12 @@ fn a_job_of_another_version_is_not_retried() {
         submitted_at_ms: 0,
     };
     let id = c.store.submit_job(job).unwrap().id;
-    let failed = JobState::Failed { reason: "as it was".to_owned() };
-    c.store.set_job_state(id, &[JobPhase::Queued], failed.clone(), 1).unwrap();
+    let failed = JobState::Failed {
+        reason: "as it was".to_owned(),
+    };
+    c.store
+        .set_job_state(id, &[JobPhase::Queued], failed.clone(), 1)
+        .unwrap();
     let refused = jobs::retry(&c, id).unwrap_err();
     assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
     assert!(refused.to_string().contains("submit it again"), "{refused}");
@@ -250,5 +358,13 @@ fn a_job_of_another_version_is_not_retried() {
 
 pub(crate) fn nameless(spec: JobSpec) -> Submission {
     let (request_id, name, owner, user) = Default::default();
-    Submission { request_id, name, owner, user, priority: 0, spec, cause: None }
+    Submission {
+        request_id,
+        name,
+        owner,
+        user,
+        priority: 0,
+        spec,
+        cause: None,
+    }
 }

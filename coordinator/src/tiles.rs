@@ -47,7 +47,11 @@ pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<Standing>, Sto
         TileState::Done { .. } => Standing::Done,
         TileState::SetAside { .. } => Standing::SetAside,
     };
-    Ok(c.store.tiles(id)?.iter().map(|tile| of(&tile.state)).collect())
+    Ok(c.store
+        .tiles(id)?
+        .iter()
+        .map(|tile| of(&tile.state))
+        .collect())
 }
 
 /// At most `most` tiles of a job from `first` on, of those in one of these states, or of all.
@@ -62,7 +66,9 @@ pub(crate) fn list(
     let records = c.store.tiles(id)?;
     let live = c.lock().machine.live_tiles(id, 0..records.len());
     let planned = specs::planned(&*c.blobs, &record.spec).ok();
-    let planned = planned.and_then(|spec| spec.plan().ok()).filter(|(_, p)| p.tiles.len() == records.len());
+    let planned = planned
+        .and_then(|spec| spec.plan().ok())
+        .filter(|(_, p)| p.tiles.len() == records.len());
     let total = records.len() as u32;
     let has_receivers = specs::receivers(&record.spec).is_some();
     let (mut tiles, mut next) = (Vec::new(), None);
@@ -101,7 +107,8 @@ pub(crate) fn list(
         }
         match (record.state, live) {
             (TileState::Done { stats, .. }, _) => {
-                (view.cells_done, view.samples, view.millis) = (stats.cells, stats.samples, stats.millis);
+                (view.cells_done, view.samples, view.millis) =
+                    (stats.cells, stats.samples, stats.millis);
                 view.workers.push(stats.worker);
                 view.workers.extend(stats.helpers);
             }

@@ -21,7 +21,9 @@ use crate::scenes;
 use crate::scheduler::Order;
 use crate::sessions::{self, Message};
 use crate::state::{Coordinator, Lacks, Leases};
-use crate::store::{Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState};
+use crate::store::{
+    Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState,
+};
 use crate::submit::{SubmitError, submit};
 use crate::tests::{coordinator, granted, join, nameless, output, put, two_tiles};
 use sightline_model::JobSpec;
@@ -34,15 +36,24 @@ type Orders = tokio::sync::mpsc::Receiver<Order>;
 fn checking() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
     let clock = Arc::new(ManualClock::default());
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
-    let leases = Leases { spot_check: 1.0, ..Leases::default() };
+    let leases = Leases {
+        spot_check: 1.0,
+        ..Leases::default()
+    };
     let c = Coordinator::new(leases, store, blobs, Box::new(Arc::clone(&clock))).unwrap();
     let scene = c.take_scene(&scene()).unwrap();
     (c, clock, scene)
 }
 
 fn scene() -> Scene {
-    let triangle = Triangle { v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y] };
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+    let triangle = Triangle {
+        v: [glam::Vec3::ZERO, glam::Vec3::X, glam::Vec3::Y],
+    };
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: 1,
+    }];
     Scene::new("test", vec![triangle], objects).unwrap()
 }
 
@@ -68,7 +79,12 @@ fn wait_until(what: &str, mut is: impl FnMut() -> bool) {
 }
 
 /// A worker does everything that it is given; a liar sees a triangle that is not there.
-fn work(c: &Arc<Coordinator>, worker: crate::ids::WorkerId, orders: &mut Orders, lies: bool) -> usize {
+fn work(
+    c: &Arc<Coordinator>,
+    worker: crate::ids::WorkerId,
+    orders: &mut Orders,
+    lies: bool,
+) -> usize {
     let mut done = 0;
     while let Ok(order) = orders.try_recv() {
         let Order::Grant(grant) = order else { continue };
@@ -107,11 +123,22 @@ fn a_liar_is_found_and_what_it_did_is_computed_again() {
         work(&c, liar, &mut of_liar, true);
         jobs::result(&c, id).is_ok()
     });
-    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+    assert_eq!(
+        c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(),
+        calm()
+    );
     let quarantined = c.store.quarantined().unwrap();
-    assert_eq!(quarantined.iter().map(|q| q.worker.as_str()).collect::<Vec<_>>(), ["liar"]);
+    assert_eq!(
+        quarantined
+            .iter()
+            .map(|q| q.worker.as_str())
+            .collect::<Vec<_>>(),
+        ["liar"]
+    );
     for tile in c.store.tiles(id).unwrap() {
-        let TileState::Done { stats, .. } = tile.state else { panic!("{tile:?}") };
+        let TileState::Done { stats, .. } = tile.state else {
+            panic!("{tile:?}")
+        };
         assert_ne!(stats.worker, "liar");
         assert!(tile.check.is_some_and(|check| check.worker != stats.worker));
     }
@@ -135,19 +162,39 @@ fn what_a_person_does_not_believe_is_computed_again() {
         do_chores(&c, chores);
         opened
     };
-    let all = Which { to_ms: u64::MAX, ..Which::default() };
-    let none = Which { worker: Some("bob".to_owned()), ..all.clone() };
+    let all = Which {
+        to_ms: u64::MAX,
+        ..Which::default()
+    };
+    let none = Which {
+        worker: Some("bob".to_owned()),
+        ..all.clone()
+    };
     assert!(invalidate(none).is_empty());
-    let far = Which { job: Some(id), tiles: [TileIndex(2)].into(), ..all.clone() };
+    let far = Which {
+        job: Some(id),
+        tiles: [TileIndex(2)].into(),
+        ..all.clone()
+    };
     let refused = invalidating::invalidate(&c, &far, &mut Vec::new());
-    assert!(matches!(refused, Err(StoreError::UnknownTile { tiles: 2, .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(StoreError::UnknownTile { tiles: 2, .. })),
+        "{refused:?}"
+    );
     // Of a done job the other tiles are gone, so all are computed again.
-    let one = Which { job: Some(id), tiles: [TileIndex(1)].into(), ..all };
+    let one = Which {
+        job: Some(id),
+        tiles: [TileIndex(1)].into(),
+        ..all
+    };
     assert_eq!(invalidate(one).into_iter().collect::<Vec<_>>(), [(id, 2)]);
     assert!(jobs::result(&c, id).is_err());
     assert_eq!(work(&c, worker, &mut orders, false), 2);
     wait_until("the end", || jobs::result(&c, id).is_ok());
-    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), before);
+    assert_eq!(
+        c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(),
+        before
+    );
 }
 
 #[test]
@@ -175,7 +222,10 @@ fn a_scene_that_is_lost_before_the_end_is_waited_for() {
     for damaged in [true, false] {
         let directory = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
-        let (store, clock) = (Box::new(MemoryStore::new()), Box::<Arc<ManualClock>>::default());
+        let (store, clock) = (
+            Box::new(MemoryStore::new()),
+            Box::<Arc<ManualClock>>::default(),
+        );
         let c = Coordinator::new(Leases::default(), store, Box::new(blobs.clone()), clock).unwrap();
         let scene = c.take_scene(&self::scene()).unwrap();
         let id = two_tiles(&c, scene);
@@ -189,18 +239,25 @@ fn a_scene_that_is_lost_before_the_end_is_waited_for() {
         }
         // As after a restart: the worker has the scene and does not ask for it.
         *c.last_scene.lock().unwrap() = None;
-        grants.iter().for_each(|grant| put(&c, grant, &output(grant, &[0])).unwrap());
+        grants
+            .iter()
+            .for_each(|grant| put(&c, grant, &output(grant, &[0])).unwrap());
         let summary = || jobs::summary(&c, id).unwrap();
         wait_until("the pause", || summary().record.state == JobState::Paused);
         assert_eq!(summary().lacks, Some(Lacks::Scene(scene)));
         // Resumed without it, the job waits again.
         jobs::resume(&c, id).unwrap();
         wait_until("the pause again", || summary().lacks.is_some());
-        wait_until("the pause again", || summary().record.state == JobState::Paused);
+        wait_until("the pause again", || {
+            summary().record.state == JobState::Paused
+        });
         c.take_scene(&self::scene()).unwrap();
         found::back(&c, Lacks::Scene(scene));
         wait_until("the end", || jobs::result(&c, id).is_ok());
-        assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+        assert_eq!(
+            c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(),
+            calm()
+        );
         assert_eq!(summary().lacks, None);
     }
 }
@@ -219,19 +276,41 @@ fn blobs_that_nobody_needs_go_and_all_others_stay() {
     assert_eq!(sweep(true), (1, 34));
     assert!(!c.blobs.has(&chunk).unwrap());
     let found = keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
-    assert_eq!((found.scenes, found.jobs, found.blobs, found.unneeded, found.lost.len()), (1, 1, 2, 0, 0));
+    assert_eq!(
+        (
+            found.scenes,
+            found.jobs,
+            found.blobs,
+            found.unneeded,
+            found.lost.len()
+        ),
+        (1, 1, 2, 0, 0)
+    );
     // A lost output is found, and its tile opened again.
-    c.blobs.remove(blake3::hash(&output(&grant, &[0])).as_bytes()).unwrap();
+    c.blobs
+        .remove(blake3::hash(&output(&grant, &[0])).as_bytes())
+        .unwrap();
     let found = keeping::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
     assert_eq!(found.lost.len(), 1);
     assert_eq!(keeping::repair(&*c.store, &*c.blobs, &found).unwrap(), 1);
-    assert_eq!(c.store.tile(id, grant.lease.tile).unwrap().state, TileState::Open);
+    assert_eq!(
+        c.store.tile(id, grant.lease.tile).unwrap().state,
+        TileState::Open
+    );
 }
 
 /// The same job for a user, with another seed each time.
-fn of_user(c: &Arc<Coordinator>, user: &str, scene: Digest, seed: u64) -> Result<JobId, SubmitError> {
+fn of_user(
+    c: &Arc<Coordinator>,
+    user: &str,
+    scene: Digest,
+    seed: u64,
+) -> Result<JobId, SubmitError> {
     let view = sightline_scene::Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-    let spec = JobSpec { seed, ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view) };
+    let spec = JobSpec {
+        seed,
+        ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
+    };
     let mut submission = nameless(spec);
     submission.owner = user.to_owned();
     submit(c, &submission).map(|submitted| submitted.id)
@@ -255,7 +334,10 @@ fn a_user_may_have_as_much_as_the_quota_says() {
     jobs::cancel(&c, first).unwrap();
     crate::deleting::delete(&c, first).unwrap();
     of_user(&c, "ada", scene, 3).unwrap();
-    let refused = c.take_scene_of("bob", &self::scene()).unwrap_err().to_string();
+    let refused = c
+        .take_scene_of("bob", &self::scene())
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains("bob may have 0 scenes"), "{refused}");
     assert!(c.take_scene_of("ada", &self::scene()).is_ok());
 }
@@ -268,13 +350,21 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     work(&c, worker, &mut orders, false);
     wait_until("the end", || jobs::result(&c, id).is_ok());
     let mut c = alone(c);
-    c.retention = Retention { keep: Some(Duration::from_secs(60)), keep_bytes: None, grace: Duration::ZERO };
+    c.retention = Retention {
+        keep: Some(Duration::from_secs(60)),
+        keep_bytes: None,
+        grace: Duration::ZERO,
+    };
     let c = Arc::new(c);
     tidy_up(&c);
     assert!(c.store.job(id).unwrap().is_some());
     let result = jobs::result(&c, id).unwrap();
     let mut c = alone(c);
-    c.retention = Retention { keep: None, keep_bytes: Some(10), grace: Duration::ZERO };
+    c.retention = Retention {
+        keep: None,
+        keep_bytes: Some(10),
+        grace: Duration::ZERO,
+    };
     let c = Arc::new(c);
     tidy_up(&c);
     assert!(c.store.job(id).unwrap().is_none() && !c.blobs.has(&result).unwrap());
@@ -288,7 +378,11 @@ fn jobs_that_are_too_old_or_too_many_are_deleted() {
     jobs::cancel(&c, other).unwrap();
     let keep = Some(Duration::from_millis(1));
     let mut c = alone(c);
-    c.retention = Retention { keep, keep_bytes: None, grace: Duration::ZERO };
+    c.retention = Retention {
+        keep,
+        keep_bytes: None,
+        grace: Duration::ZERO,
+    };
     let c = Arc::new(c);
     // Times of blobs are of the system's clock, which advances during the test.
     clock.advance(Duration::from_secs(3600));
@@ -302,15 +396,22 @@ fn a_list_that_names_a_chunk_many_times_is_refused_before_anything_is_written() 
     let (c, ..) = coordinator();
     let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
     let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
-    assert!(matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30), "{refused}");
+    assert!(
+        matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30),
+        "{refused}"
+    );
     // A short upload does not become a long scene, either.
     let refused = scenes::put_scene(&c, "", [9; 32], &vec![chunk; 1500]).unwrap_err();
-    let is_found = matches!(refused, UploadError::Repeated { bytes, sent, .. } if bytes / 1500 == sent);
+    let is_found =
+        matches!(refused, UploadError::Repeated { bytes, sent, .. } if bytes / 1500 == sent);
     assert!(is_found, "{refused}");
     // Another blob than a chunk is rejected.
     let long = c.blobs.put(&vec![7; (1 << 20) + 1]).unwrap();
     let refused = scenes::put_scene(&c, "", [9; 32], &[long]).unwrap_err();
-    assert!(matches!(refused, UploadError::LongChunk { .. }), "{refused}");
+    assert!(
+        matches!(refused, UploadError::LongChunk { .. }),
+        "{refused}"
+    );
 }
 
 #[test]
@@ -321,7 +422,10 @@ fn a_coordinator_whose_disk_cannot_be_written_is_not_ready() {
     std::fs::remove_dir_all(directory.path().join("blobs")).unwrap();
     *c.last_trial.lock().unwrap() = None;
     let reasons = readiness(&c).unwrap_err();
-    assert!(reasons.len() == 1 && reasons[0].contains("blobs cannot be written"), "{reasons:?}");
+    assert!(
+        reasons.len() == 1 && reasons[0].contains("blobs cannot be written"),
+        "{reasons:?}"
+    );
 }
 
 #[test]
@@ -344,7 +448,10 @@ fn a_worker_that_was_right_later_answers_for_what_was_wrong_before() {
         work(&c, liar, &mut of_liar, true);
         jobs::result(&c, id).is_ok()
     });
-    assert_eq!(c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(), calm());
+    assert_eq!(
+        c.blobs.read(&jobs::result(&c, id).unwrap()).unwrap(),
+        calm()
+    );
     assert_eq!(c.store.quarantined().unwrap().len(), 1);
 }
 
@@ -372,9 +479,19 @@ fn wrong_records_remove_no_blob() {
     let blobs = MemoryBlobs::new();
     let of = |store: MemoryStore| {
         let clock = Box::new(Arc::new(ManualClock::default()));
-        let c = Coordinator::new(Leases::default(), Box::new(store), Box::new(blobs.clone()), clock).unwrap();
+        let c = Coordinator::new(
+            Leases::default(),
+            Box::new(store),
+            Box::new(blobs.clone()),
+            clock,
+        )
+        .unwrap();
         let mut c = alone(c);
-        c.retention = Retention { keep: None, keep_bytes: None, grace: Duration::ZERO };
+        c.retention = Retention {
+            keep: None,
+            keep_bytes: None,
+            grace: Duration::ZERO,
+        };
         Arc::new(c)
     };
     let right = of(MemoryStore::new());

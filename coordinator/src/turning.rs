@@ -16,8 +16,14 @@ pub(crate) fn turned(
     to: JobState,
 ) -> Result<Vec<Chore>, StoreError> {
     let _turn = c.turn();
-    let record = c.store.set_job_state(id, from, to, retention_stamp::end_time(c))?;
+    let record = c
+        .store
+        .set_job_state(id, from, to, retention_stamp::end_time(c))?;
     tracing::info!("job {id} is {}", record.state.phase());
-    c.happened(Happening::of_job(Kind::Job, id, format!("the job is {}", record.state.phase())));
+    c.happened(Happening::of_job(
+        Kind::Job,
+        id,
+        format!("the job is {}", record.state.phase()),
+    ));
     Ok(tell(c, Event::JobChanged(Box::new(record))))
 }

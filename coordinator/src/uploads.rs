@@ -47,7 +47,11 @@ impl Uploads {
             *own = Chunks::default();
         }
         let at = Instant::now();
-        let sent = own.of.entry(chunk).or_insert(Sent { is_new: false, bytes: 0, at });
+        let sent = own.of.entry(chunk).or_insert(Sent {
+            is_new: false,
+            bytes: 0,
+            at,
+        });
         (sent.is_new, sent.at) = (sent.is_new | is_new, at);
         // By its digest it has the same length as before.
         own.bytes += u64::from(bytes - std::mem::replace(&mut sent.bytes, bytes));
@@ -61,7 +65,8 @@ impl Uploads {
             let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
             let of = |(owner, own): (&String, &Chunks)| {
                 let old = own.of.iter().filter(|(_, sent)| sent.at.elapsed() >= grace);
-                old.map(|(chunk, _)| (owner.clone(), *chunk)).collect::<Vec<_>>()
+                old.map(|(chunk, _)| (owner.clone(), *chunk))
+                    .collect::<Vec<_>>()
             };
             all.iter().flat_map(of).collect()
         };
@@ -79,16 +84,23 @@ impl Uploads {
     /// Whether an owner has sent a chunk. Where nothing has an owner everybody has.
     pub(crate) fn has(&self, owner: &str, chunk: &Digest) -> bool {
         let all = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        owner.is_empty() || all().get(owner).is_some_and(|own| own.of.contains_key(chunk))
+        owner.is_empty()
+            || all()
+                .get(owner)
+                .is_some_and(|own| own.of.contains_key(chunk))
     }
 
     /// Forgets the chunks of a scene that is stored; gives those that were new to the store.
     pub(crate) fn forget(&self, owner: &str, chunks: &[Digest]) -> Vec<Digest> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(own) = all.get_mut(owner) else { return Vec::new() };
+        let Some(own) = all.get_mut(owner) else {
+            return Vec::new();
+        };
         let mut new = Vec::new();
         for chunk in chunks {
-            let Some(sent) = own.of.remove(chunk) else { continue };
+            let Some(sent) = own.of.remove(chunk) else {
+                continue;
+            };
             own.bytes -= u64::from(sent.bytes);
             if sent.is_new {
                 new.push(*chunk);

@@ -40,7 +40,9 @@ impl IdentityProofs {
             (Caller::Nobody, Some(certificate), _) => self.derived(b"cert", certificate),
             (Caller::Nobody, None, Some(id)) => id,
             (Caller::Nobody, None, None) => {
-                let drawn = getrandom::u64().map_err(|e| StoreError::Random { what: e.to_string() })?;
+                let drawn = getrandom::u64().map_err(|e| StoreError::Random {
+                    what: e.to_string(),
+                })?;
                 WorkerIdentity(drawn)
             }
         };
@@ -52,7 +54,11 @@ impl IdentityProofs {
     fn derived(&self, kind: &[u8; 4], credential: &[u8]) -> WorkerIdentity {
         let mut number = [0; 8];
         let mut hasher = blake3::Hasher::new_keyed(&self.0);
-        hasher.update(kind).update(credential).finalize_xof().fill(&mut number);
+        hasher
+            .update(kind)
+            .update(credential)
+            .finalize_xof()
+            .fill(&mut number);
         WorkerIdentity(u64::from_be_bytes(number))
     }
 
@@ -60,13 +66,21 @@ impl IdentityProofs {
     fn check(&self, shown: &[u8]) -> Option<WorkerIdentity> {
         let (number, proof) = shown.split_first_chunk::<8>()?;
         let is_right = proof.len() == PROOF_BYTES
-            && proof.iter().zip(self.proof(*number)).fold(0, |differ, (a, b)| differ | (a ^ b)) == 0;
+            && proof
+                .iter()
+                .zip(self.proof(*number))
+                .fold(0, |differ, (a, b)| differ | (a ^ b))
+                == 0;
         is_right.then(|| WorkerIdentity(u64::from_be_bytes(*number)))
     }
 
     fn proof(&self, number: [u8; 8]) -> [u8; PROOF_BYTES] {
         let mut proof = [0; PROOF_BYTES];
-        blake3::Hasher::new_keyed(&self.0).update(&[1]).update(&number).finalize_xof().fill(&mut proof);
+        blake3::Hasher::new_keyed(&self.0)
+            .update(&[1])
+            .update(&number)
+            .finalize_xof()
+            .fill(&mut proof);
         proof
     }
 }
@@ -84,8 +98,14 @@ mod tests {
     fn worker_without_credentials_keeps_identity_that_it_shows() {
         let proofs = proofs();
         let (first, shown) = proofs.identify(&Caller::Nobody, None, b"").unwrap();
-        assert_eq!(proofs.identify(&Caller::Nobody, None, &shown).unwrap(), (first, shown.clone()));
-        assert_ne!(proofs.identify(&Caller::Nobody, None, b"").unwrap().0, first);
+        assert_eq!(
+            proofs.identify(&Caller::Nobody, None, &shown).unwrap(),
+            (first, shown.clone())
+        );
+        assert_ne!(
+            proofs.identify(&Caller::Nobody, None, b"").unwrap().0,
+            first
+        );
         for at in 0..shown.len() {
             let mut forged = shown.clone();
             forged[at] ^= 1;
@@ -99,11 +119,22 @@ mod tests {
     #[test]
     fn credentials_override_shown_identity() {
         let proofs = proofs();
-        let user = |name: &str| Caller::User { name: name.to_owned(), scopes: Scopes::default() };
+        let user = |name: &str| Caller::User {
+            name: name.to_owned(),
+            scopes: Scopes::default(),
+        };
         let (ada, shown) = proofs.identify(&user("ada"), None, b"").unwrap();
-        assert_eq!(proofs.identify(&user("ada"), None, b"nonsense").unwrap().0, ada);
+        assert_eq!(
+            proofs.identify(&user("ada"), None, b"nonsense").unwrap().0,
+            ada
+        );
         assert_ne!(proofs.identify(&user("bob"), None, &shown).unwrap().0, ada);
-        let certified = |certificate| proofs.identify(&Caller::Nobody, Some(certificate), &shown).unwrap().0;
+        let certified = |certificate| {
+            proofs
+                .identify(&Caller::Nobody, Some(certificate), &shown)
+                .unwrap()
+                .0
+        };
         assert_eq!(certified(b"one"), certified(b"one"));
         assert_ne!(certified(b"one"), certified(b"two"));
         assert_ne!(certified(b"ada"), ada);

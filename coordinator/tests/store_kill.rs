@@ -15,7 +15,8 @@ use std::time::Duration;
 
 use sightline_coordinator::ids::TileIndex;
 use sightline_coordinator::store::{
-    Digest, JobRecord, NewJob, SceneRecord, SledStore, Store, TileRecord, TileResult, TileState, TileStats,
+    Digest, JobRecord, NewJob, SceneRecord, SledStore, Store, TileRecord, TileResult, TileState,
+    TileStats,
 };
 
 const DIRECTORY: &str = "SIGHTLINE_STORE_KILL_DIRECTORY";
@@ -44,7 +45,8 @@ fn job(number: u64) -> NewJob {
 fn say(what: &str, number: u64) {
     // One write, so that lines of two threads do not mix.
     let mut out = std::io::stdout().lock();
-    out.write_all(format!("\n{what} {number}\n").as_bytes()).unwrap();
+    out.write_all(format!("\n{what} {number}\n").as_bytes())
+        .unwrap();
     out.flush().unwrap();
 }
 
@@ -70,14 +72,32 @@ fn writes_until_killed() {
         })
         .unwrap();
     let first = store.submit_job(job(0)).unwrap().id;
-    let done = store.tiles(first).unwrap().iter().filter(|tile| tile.state != TileState::Open).count() as u32;
+    let done = store
+        .tiles(first)
+        .unwrap()
+        .iter()
+        .filter(|tile| tile.state != TileState::Open)
+        .count() as u32;
     let submitted = store.jobs().unwrap().len() as u64;
     std::thread::scope(|scope| {
         scope.spawn(|| {
             for tile in done..TILES {
-                let stats = TileStats { worker: "w".to_owned(), ..TileStats::default() };
+                let stats = TileStats {
+                    worker: "w".to_owned(),
+                    ..TileStats::default()
+                };
                 let digest = digest_of("tile", tile.into());
-                store.commit_tile(first, TileIndex(tile), TileResult { digest, bytes: 1, stats }).unwrap();
+                store
+                    .commit_tile(
+                        first,
+                        TileIndex(tile),
+                        TileResult {
+                            digest,
+                            bytes: 1,
+                            stats,
+                        },
+                    )
+                    .unwrap();
                 say("tile", tile.into());
             }
         });
@@ -91,7 +111,10 @@ fn writes_until_killed() {
 /// Everything of interest, for comparing the view with one made from the journal alone.
 fn state(store: &SledStore) -> (u64, Vec<JobRecord>, Vec<TileRecord>) {
     let jobs = store.jobs().unwrap();
-    let tiles = jobs.first().map(|job| store.tiles(job.id).unwrap()).unwrap_or_default();
+    let tiles = jobs
+        .first()
+        .map(|job| store.tiles(job.id).unwrap())
+        .unwrap_or_default();
     (store.epoch().unwrap(), jobs, tiles)
 }
 
@@ -106,7 +129,12 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         random ^= random >> 7;
         random ^= random << 17;
         let mut child = Command::new(&program)
-            .args(["writes_until_killed", "--exact", "--nocapture", "--test-threads=1"])
+            .args([
+                "writes_until_killed",
+                "--exact",
+                "--nocapture",
+                "--test-threads=1",
+            ])
             .env(DIRECTORY, directory.path())
             .stdout(Stdio::piped())
             .spawn()
@@ -118,12 +146,17 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
                 let (what, number) = line.split_once(' ')?;
                 Some((what.to_owned(), number.parse::<u64>().ok()?))
             });
-            pairs.filter(|(what, _)| what == "tile" || what == "job").collect::<Vec<_>>()
+            pairs
+                .filter(|(what, _)| what == "tile" || what == "job")
+                .collect::<Vec<_>>()
         });
         std::thread::sleep(Duration::from_micros(20_000 + random % 250_000));
         child.kill().unwrap();
         let status = child.wait().unwrap();
-        assert!(!status.success(), "round {round}: the process ended by itself");
+        assert!(
+            !status.success(),
+            "round {round}: the process ended by itself"
+        );
         for (what, number) in reader.join().unwrap() {
             let last = acknowledged.entry(what).or_default();
             *last = number.max(*last);
@@ -135,20 +168,41 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
         // Each thread works in order, so the last acknowledged number stands for all before it.
         for (what, &last) in &acknowledged {
             let there = match what.as_str() {
-                "tile" => tiles.iter().filter(|tile| tile.state != TileState::Open).count() as u64,
+                "tile" => tiles
+                    .iter()
+                    .filter(|tile| tile.state != TileState::Open)
+                    .count() as u64,
                 _ => jobs.len() as u64,
             };
-            assert!(there > last, "round {round}: {what} {last} was acknowledged, only {there} are there");
+            assert!(
+                there > last,
+                "round {round}: {what} {last} was acknowledged, only {there} are there"
+            );
         }
         for (number, job_record) in (0..).zip(jobs) {
             assert_eq!(job_record.key, job(number).key);
-            assert_eq!(store.job_by_key(&job_record.key).unwrap().as_ref(), Some(job_record));
-            assert_eq!(store.job_by_request(&job_record.request_id).unwrap().as_ref(), Some(job_record));
+            assert_eq!(
+                store.job_by_key(&job_record.key).unwrap().as_ref(),
+                Some(job_record)
+            );
+            assert_eq!(
+                store
+                    .job_by_request(&job_record.request_id)
+                    .unwrap()
+                    .as_ref(),
+                Some(job_record)
+            );
         }
         for tile in tiles {
             match tile.state {
-                TileState::Done { digest, .. } => assert_eq!(digest, digest_of("tile", tile.tile.0.into())),
-                _ => assert!(tiles[tile.tile.at()..].iter().all(|later| later.state == TileState::Open)),
+                TileState::Done { digest, .. } => {
+                    assert_eq!(digest, digest_of("tile", tile.tile.0.into()))
+                }
+                _ => assert!(
+                    tiles[tile.tile.at()..]
+                        .iter()
+                        .all(|later| later.state == TileState::Open)
+                ),
             }
             if tile.state == TileState::Open {
                 break;
@@ -165,5 +219,8 @@ fn killed_at_any_moment_nothing_acknowledged_is_lost() {
             "round {round}: view and journal differ"
         );
     }
-    assert!(acknowledged.len() == 2, "the rounds were too short to acknowledge anything: {acknowledged:?}");
+    assert!(
+        acknowledged.len() == 2,
+        "the rounds were too short to acknowledge anything: {acknowledged:?}"
+    );
 }

@@ -40,7 +40,9 @@ fn writer_syncs_one_epoch_and_one_blob() {
 /// Returns the calls between two marks.
 fn section<'a>(calls: &[&'a str], name: &str) -> Vec<&'a str> {
     let at = |mark: String| {
-        let found = calls.iter().position(|call| call.contains("/mark>") && call.contains(&mark));
+        let found = calls
+            .iter()
+            .position(|call| call.contains("/mark>") && call.contains(&mark));
         found.unwrap_or_else(|| panic!("no mark '{mark}' in {calls:#?}"))
     };
     calls[at(format!("{name} begins")) + 1..at(format!("{name} ends"))].to_vec()
@@ -51,7 +53,10 @@ fn assert_order(calls: &[&str], parts: &[[&str; 2]]) {
     let mut rest = calls.iter();
     for [call, path] in parts {
         let found = rest.any(|line| line.contains(&format!("{call}(")) && line.contains(path));
-        assert!(found, "{call} of {path} is missing or too early in {calls:#?}");
+        assert!(
+            found,
+            "{call} of {path} is missing or too early in {calls:#?}"
+        );
     }
 }
 
@@ -65,10 +70,23 @@ fn acknowledged_data_is_synced_in_order() {
     let (data, log) = (folder.path().join("data"), folder.path().join("log"));
     std::fs::create_dir(&data).unwrap();
     let ran = Command::new("strace")
-        .args(["-f", "-y", "-s", "200", "-e", "trace=write,fsync,fdatasync,rename", "-o"])
+        .args([
+            "-f",
+            "-y",
+            "-s",
+            "200",
+            "-e",
+            "trace=write,fsync,fdatasync,rename",
+            "-o",
+        ])
         .arg(&log)
         .arg(std::env::current_exe().unwrap())
-        .args(["writer_syncs_one_epoch_and_one_blob", "--exact", "--nocapture", "--test-threads=1"])
+        .args([
+            "writer_syncs_one_epoch_and_one_blob",
+            "--exact",
+            "--nocapture",
+            "--test-threads=1",
+        ])
         .env(FOLDER, &data)
         .output();
     let is_ci = std::env::var_os("CI").is_some_and(|ci| ci != "false");
@@ -79,20 +97,33 @@ fn acknowledged_data_is_synced_in_order() {
         }
         ran => {
             let ran = ran.unwrap();
-            assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+            assert!(
+                ran.status.success(),
+                "{}",
+                String::from_utf8_lossy(&ran.stderr)
+            );
         }
     }
     let log = std::fs::read_to_string(&log).unwrap();
     // Where another thread interrupts a call, a separate line records its end; the beginning counts.
-    let calls: Vec<&str> = log.lines().filter(|line| !line.contains("resumed>")).collect();
+    let calls: Vec<&str> = log
+        .lines()
+        .filter(|line| !line.contains("resumed>"))
+        .collect();
     assert_order(
         &section(&calls, "journal"),
-        &[["write", "/state/journal>"], ["fdatasync", "/state/journal>"], ["write", "/state/journal.mark>"]],
+        &[
+            ["write", "/state/journal>"],
+            ["fdatasync", "/state/journal>"],
+            ["write", "/state/journal.mark>"],
+        ],
     );
     for (name, bytes) in [("blob", b"walls"), ("stream", b"floor")] {
         let hex = hex(bytes);
-        let (inner, outer) =
-            (format!("/blobs/{}/{}>", &hex[..2], &hex[2..4]), format!("/blobs/{}>", &hex[..2]));
+        let (inner, outer) = (
+            format!("/blobs/{}/{}>", &hex[..2], &hex[2..4]),
+            format!("/blobs/{}>", &hex[..2]),
+        );
         assert_order(
             &section(&calls, name),
             &[
@@ -106,5 +137,11 @@ fn acknowledged_data_is_synced_in_order() {
         );
     }
     // The watermark is made durable when no command waits, at the latest at the end.
-    assert_order(&calls, &[["write", "/state/journal.mark>"], ["fdatasync", "/state/journal.mark>"]]);
+    assert_order(
+        &calls,
+        &[
+            ["write", "/state/journal.mark>"],
+            ["fdatasync", "/state/journal.mark>"],
+        ],
+    );
 }

@@ -52,7 +52,10 @@ pub struct Fault {
 
 impl Fault {
     fn late(what: &str) -> Self {
-        Self { during: During::Waiting, reason: what.to_owned() }
+        Self {
+            during: During::Waiting,
+            reason: what.to_owned(),
+        }
     }
 
     fn of(during: During, e: &dyn StdError) -> Self {
@@ -60,7 +63,10 @@ impl Fault {
         while let Some(deeper) = inner.source() {
             inner = deeper;
         }
-        Self { during, reason: inner.to_string() }
+        Self {
+            during,
+            reason: inner.to_string(),
+        }
     }
 }
 
@@ -74,7 +80,9 @@ pub fn roots(pem: Option<&[u8]>) -> Result<RootCertStore, String> {
     let (_, unusable) = roots.add_parsable_certificates(system.certs);
     if unusable > 0 || !system.errors.is_empty() {
         let errors = system.errors.len();
-        tracing::debug!("of the system's authorities {unusable} cannot be used, and {errors} not be read");
+        tracing::debug!(
+            "of the system's authorities {unusable} cannot be used, and {errors} not be read"
+        );
     }
     if let Some(pem) = pem {
         let before = roots.len();
@@ -109,12 +117,13 @@ where
     /// # Errors
     /// When TLS cannot be set up.
     pub fn new(roots: RootCertStore, connect: Duration) -> Result<Self, String> {
-        let config =
-            tokio_rustls::rustls::ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
-                .with_safe_default_protocol_versions()
-                .map_err(|e| e.to_string())?
-                .with_root_certificates(roots)
-                .with_no_client_auth();
+        let config = tokio_rustls::rustls::ClientConfig::builder_with_provider(Arc::new(
+            ring::default_provider(),
+        ))
+        .with_safe_default_protocol_versions()
+        .map_err(|e| e.to_string())?
+        .with_root_certificates(roots)
+        .with_no_client_auth();
         let mut tcp = Tcp::new();
         tcp.enforce_http(false);
         tcp.set_connect_timeout(Some(connect));
@@ -135,11 +144,23 @@ where
     ///
     /// # Errors
     /// Why there is no answer.
-    pub async fn request(&self, request: Request<B>, within: Duration) -> Result<Response<Answer>, Fault> {
+    pub async fn request(
+        &self,
+        request: Request<B>,
+        within: Duration,
+    ) -> Result<Response<Answer>, Fault> {
         let answer = timeout(within, self.0.request(request)).await;
         let answer = answer.map_err(|_| Fault::late("no answer"))?;
-        let during = |e: &LegacyError| if e.is_connect() { During::Connecting } else { During::Talking };
-        Ok(answer.map_err(|e| Fault::of(during(&e), &e))?.map(Answer::new))
+        let during = |e: &LegacyError| {
+            if e.is_connect() {
+                During::Connecting
+            } else {
+                During::Talking
+            }
+        };
+        Ok(answer
+            .map_err(|e| Fault::of(during(&e), &e))?
+            .map(Answer::new))
     }
 }
 
@@ -152,7 +173,10 @@ pub struct Answer {
 
 impl Answer {
     fn new(body: Incoming) -> Self {
-        Self { body, pause: Box::pin(sleep(PAUSE)) }
+        Self {
+            body,
+            pause: Box::pin(sleep(PAUSE)),
+        }
     }
 
     /// The next bytes; `None` at the end.
@@ -182,7 +206,9 @@ impl Body for Answer {
     ) -> Poll<Option<Result<Frame<Bytes>, Fault>>> {
         if let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(cx) {
             self.pause.as_mut().reset(Instant::now() + PAUSE);
-            return Poll::Ready(frame.map(|frame| frame.map_err(|e| Fault::of(During::Talking, &e))));
+            return Poll::Ready(
+                frame.map(|frame| frame.map_err(|e| Fault::of(During::Talking, &e))),
+            );
         }
         ready!(self.pause.as_mut().poll(cx));
         Poll::Ready(Some(Err(Fault::late("the answer came to a halt"))))

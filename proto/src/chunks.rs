@@ -43,7 +43,13 @@ pub fn piece(bytes: &[u8], i: usize) -> Chunk {
 /// [`CHUNK_BYTES`].
 pub fn chunk(data: Vec<u8>, offset: u64, total: u64) -> Chunk {
     let total = if offset == 0 { total } else { 0 };
-    Chunk { crc32c: crc32c::crc32c(&data), data, offset, total, address: None }
+    Chunk {
+        crc32c: crc32c::crc32c(&data),
+        data,
+        offset,
+        total,
+        address: None,
+    }
 }
 
 /// Cuts `bytes` into chunks.
@@ -62,7 +68,11 @@ pub struct Sequence {
 impl Sequence {
     /// Starts a blob of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
-        Self { got: 0, total: None, limit }
+        Self {
+            got: 0,
+            total: None,
+            limit,
+        }
     }
 
     /// Checks the next chunk.
@@ -89,7 +99,11 @@ impl Sequence {
     /// [`ChunkError::Short`] when chunks are missing.
     pub fn end(&self) -> Result<u64, ChunkError> {
         let (got, want) = (self.got, self.total.unwrap_or(0));
-        if self.total.is_some() && got == want { Ok(got) } else { Err(ChunkError::Short { got, want }) }
+        if self.total.is_some() && got == want {
+            Ok(got)
+        } else {
+            Err(ChunkError::Short { got, want })
+        }
     }
 }
 
@@ -103,7 +117,10 @@ pub struct Assembler {
 impl Assembler {
     /// Starts a blob of at most `limit` bytes.
     pub fn new(limit: u64) -> Self {
-        Self { bytes: Vec::new(), sequence: Sequence::new(limit) }
+        Self {
+            bytes: Vec::new(),
+            sequence: Sequence::new(limit),
+        }
     }
 
     /// Appends the next chunk. Memory grows with the bytes that arrive, not with the announced length.
@@ -160,7 +177,11 @@ pub fn check(chunk: &Chunk) -> Result<(), ChunkError> {
     if chunk.data.len() > CHUNK_BYTES {
         return Err(ChunkError::Order(chunk.offset));
     }
-    if crc32c::crc32c(&chunk.data) == chunk.crc32c { Ok(()) } else { Err(ChunkError::Checksum(chunk.offset)) }
+    if crc32c::crc32c(&chunk.data) == chunk.crc32c {
+        Ok(())
+    } else {
+        Err(ChunkError::Checksum(chunk.offset))
+    }
 }
 
 #[cfg(test)]
@@ -183,26 +204,47 @@ mod tests {
         let bytes = vec![3u8; CHUNK_BYTES + 9];
         let chunks: Vec<_> = cut(&bytes).collect();
         let mut a = Assembler::new(1 << 30);
-        assert_eq!(a.push(&chunks[1]), Err(ChunkError::Order(CHUNK_BYTES as u64)));
+        assert_eq!(
+            a.push(&chunks[1]),
+            Err(ChunkError::Order(CHUNK_BYTES as u64))
+        );
         let mut a = Assembler::new(1 << 30);
         a.push(&chunks[0]).unwrap();
         assert!(matches!(a.finish(), Err(ChunkError::Short { .. })));
         let mut bad = chunks[0].clone();
         bad.data[7] ^= 1;
-        assert_eq!(Assembler::new(1 << 30).push(&bad), Err(ChunkError::Checksum(0)));
-        assert!(matches!(Assembler::new(10).push(&chunks[0]), Err(ChunkError::TooLarge(..))));
-        assert!(matches!(Assembler::new(10).finish(), Err(ChunkError::Short { .. })));
+        assert_eq!(
+            Assembler::new(1 << 30).push(&bad),
+            Err(ChunkError::Checksum(0))
+        );
+        assert!(matches!(
+            Assembler::new(10).push(&chunks[0]),
+            Err(ChunkError::TooLarge(..))
+        ));
+        assert!(matches!(
+            Assembler::new(10).finish(),
+            Err(ChunkError::Short { .. })
+        ));
     }
 
     #[test]
     fn blobs_follow_each_other_in_one_stream() {
         let all = [vec![1u8; CHUNK_BYTES + 9], Vec::new(), vec![2u8; 5]];
         let mut blobs = Blobs::new(1 << 21);
-        let ends: Vec<Vec<u8>> =
-            all.iter().flat_map(|b| cut(b)).filter_map(|chunk| blobs.push(&chunk).unwrap()).collect();
+        let ends: Vec<Vec<u8>> = all
+            .iter()
+            .flat_map(|b| cut(b))
+            .filter_map(|chunk| blobs.push(&chunk).unwrap())
+            .collect();
         assert!(ends == all);
         assert_eq!(blobs.push(&chunk(vec![3; 4], 0, 9)), Ok(None));
-        assert_eq!(blobs.push(&chunk(vec![3; 4], 5, 9)), Err(ChunkError::Order(5)));
-        assert_eq!(Blobs::new(8).push(&chunk(vec![3; 4], 0, 9)), Err(ChunkError::TooLarge(9, 8)));
+        assert_eq!(
+            blobs.push(&chunk(vec![3; 4], 5, 9)),
+            Err(ChunkError::Order(5))
+        );
+        assert_eq!(
+            Blobs::new(8).push(&chunk(vec![3; 4], 0, 9)),
+            Err(ChunkError::TooLarge(9, 8))
+        );
     }
 }

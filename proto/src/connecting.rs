@@ -40,8 +40,9 @@ impl Bearer {
         if token.is_empty() || !token.bytes().all(|b| b.is_ascii_graphic()) {
             return Err("the token must be one line of visible ASCII characters".to_owned());
         }
-        let mut value: MetadataValue<Ascii> =
-            format!("Bearer {token}").parse().map_err(|_| "the token cannot be sent".to_owned())?;
+        let mut value: MetadataValue<Ascii> = format!("Bearer {token}")
+            .parse()
+            .map_err(|_| "the token cannot be sent".to_owned())?;
         value.set_sensitive(true);
         Ok(Self(Some(value)))
     }
@@ -49,14 +50,20 @@ impl Bearer {
 
 impl fmt::Debug for Bearer {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.0.is_some() { "a token" } else { "no token" })
+        f.write_str(if self.0.is_some() {
+            "a token"
+        } else {
+            "no token"
+        })
     }
 }
 
 impl Interceptor for Bearer {
     fn call(&mut self, mut request: Request<()>) -> Result<Request<()>, Status> {
         if let Some(value) = &self.0 {
-            request.metadata_mut().insert("authorization", value.clone());
+            request
+                .metadata_mut()
+                .insert("authorization", value.clone());
         }
         Ok(request)
     }
@@ -89,7 +96,9 @@ impl Credentials {
             }
             _ => return Err("it must begin with http:// or https:// and a host".to_owned()),
         }
-        Ok(endpoint.connect_timeout(Duration::from_secs(5)).tcp_nodelay(true))
+        Ok(endpoint
+            .connect_timeout(Duration::from_secs(5))
+            .tcp_nodelay(true))
     }
 
     fn tls(&self) -> ClientTlsConfig {
@@ -142,7 +151,11 @@ mod tests {
     #[test]
     fn an_address_has_a_scheme_and_a_host() {
         let none = Credentials::default();
-        for good in ["http://127.0.0.1:7600", "http://coordinator:7600/", "http://[::1]:7600"] {
+        for good in [
+            "http://127.0.0.1:7600",
+            "http://coordinator:7600/",
+            "http://[::1]:7600",
+        ] {
             assert!(none.endpoint(good).is_ok(), "{good}");
         }
         for bad in ["foo", "", "127.0.0.1:7600", "ftp://a", "http:///x", "a b"] {
@@ -162,11 +175,22 @@ mod tests {
     fn a_token_is_neither_shown_nor_sent_in_the_clear() {
         let token = Some(Bearer::of(" slt_secret\n").unwrap());
         assert_eq!(format!("{token:?}"), "Some(a token)");
-        let with = Credentials { token, ..Credentials::default() };
-        for near in ["http://127.0.0.1:7600", "http://localhost:7600", "http://[::1]:7600"] {
+        let with = Credentials {
+            token,
+            ..Credentials::default()
+        };
+        for near in [
+            "http://127.0.0.1:7600",
+            "http://localhost:7600",
+            "http://[::1]:7600",
+        ] {
             assert!(with.endpoint(near).is_ok(), "{near}");
         }
-        assert!(with.endpoint("http://coordinator:7600").unwrap_err().contains("unencrypted"));
+        assert!(
+            with.endpoint("http://coordinator:7600")
+                .unwrap_err()
+                .contains("unencrypted")
+        );
         for bad in ["", "two words", "caf\u{e9}"] {
             assert!(Bearer::of(bad).is_err(), "{bad:?}");
         }

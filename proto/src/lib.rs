@@ -20,7 +20,11 @@ pub mod chunks;
 pub mod connecting;
 
 /// Package `sightline.v1`.
-#[allow(missing_docs, clippy::all, reason = "generated; the documentation is in the .proto files")]
+#[allow(
+    missing_docs,
+    clippy::all,
+    reason = "generated; the documentation is in the .proto files"
+)]
 pub mod v1 {
     include!(concat!(env!("OUT_DIR"), "/sightline.v1.rs"));
     #[cfg(feature = "json")]

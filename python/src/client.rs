@@ -57,7 +57,10 @@ impl Client {
     }
 
     fn prioritize(&self, py: Python<'_>, job: u64, priority: i32) -> PyResult<String> {
-        wait(py, None, |watcher| self.0.prioritize(job, priority, watcher)).map(|job| job.to_string())
+        wait(py, None, |watcher| {
+            self.0.prioritize(job, priority, watcher)
+        })
+        .map(|job| job.to_string())
     }
 
     fn fetch(&self, py: Python<'_>, job: u64, output: PathBuf) -> PyResult<u64> {

@@ -41,10 +41,16 @@ fn in_python(text: &str) -> String {
     while let Some(at) = rest.find("--") {
         let (before, flag) = rest.split_at(at);
         let name = flag.trim_start_matches('-');
-        let end = name.find(|c: char| !c.is_ascii_lowercase() && c != '-').unwrap_or(name.len());
+        let end = name
+            .find(|c: char| !c.is_ascii_lowercase() && c != '-')
+            .unwrap_or(name.len());
         out.push_str(before);
         // Only a word is an option.
-        out.push_str(&if end > 0 { name[..end].replace('-', "_") } else { "--".to_owned() });
+        out.push_str(&if end > 0 {
+            name[..end].replace('-', "_")
+        } else {
+            "--".to_owned()
+        });
         rest = &name[end..];
     }
     out.push_str(rest);

@@ -25,8 +25,14 @@ fn _sightline(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// Gives a line to Python's logger "sightline".
 fn log(py: Python<'_>, text: &str) -> PyResult<()> {
-    let logger = py.import("logging")?.call_method1("getLogger", ("sightline",))?;
-    let level = if text.starts_with("warning: ") { "warning" } else { "info" };
+    let logger = py
+        .import("logging")?
+        .call_method1("getLogger", ("sightline",))?;
+    let level = if text.starts_with("warning: ") {
+        "warning"
+    } else {
+        "info"
+    };
     let text = text.strip_prefix("warning: ").unwrap_or(text);
     logger.call_method1(level, ("%s", text)).map(drop)
 }

@@ -11,7 +11,11 @@ use sightline_scene::{Object, Triangle};
 use crate::errors::InputError;
 
 /// A part: its name, its vertices, and the corners of its faces.
-type Part<'py> = (String, PyReadonlyArray2<'py, f32>, PyReadonlyArray2<'py, i64>);
+type Part<'py> = (
+    String,
+    PyReadonlyArray2<'py, f32>,
+    PyReadonlyArray2<'py, i64>,
+);
 
 /// Reads what `sightline._mesh.source` gives.
 pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<Source> {
@@ -24,7 +28,9 @@ pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<Source> {
         let (vertices, faces) = (vertices.as_array(), faces.as_array());
         let first = number(triangles.len())?;
         let vertex = |at: &i64| {
-            let row = usize::try_from(*at).ok().filter(|at| *at < vertices.nrows() && vertices.ncols() == 3);
+            let row = usize::try_from(*at)
+                .ok()
+                .filter(|at| *at < vertices.nrows() && vertices.ncols() == 3);
             row.map(|at| Vec3::new(vertices[[at, 0]], vertices[[at, 1]], vertices[[at, 2]]))
         };
         for face in faces.rows() {
@@ -35,11 +41,16 @@ pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<Source> {
             })?;
             triangles.push(Triangle { v });
         }
-        objects.push(Object { name, first, count: number(faces.nrows())? });
+        objects.push(Object {
+            name,
+            first,
+            count: number(faces.nrows())?,
+        });
     }
     Ok(Source::Memory(triangles, objects))
 }
 
 fn number(n: usize) -> PyResult<u32> {
-    u32::try_from(n).map_err(|_| InputError::new_err("the mesh has more triangles than ids can number"))
+    u32::try_from(n)
+        .map_err(|_| InputError::new_err("the mesh has more triangles than ids can number"))
 }

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use numpy::{AllowTypeChange, IntoPyArray as _, PyArray1, PyArray2, PyArrayLike2, PyArrayMethods as _};
+use numpy::{
+    AllowTypeChange, IntoPyArray as _, PyArray1, PyArray2, PyArrayLike2, PyArrayMethods as _,
+};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
@@ -43,7 +45,8 @@ impl Pvs {
     ) -> PyResult<Bound<'py, PyArray1<u32>>> {
         let cell = self.cell(of)?;
         let mut ids = Vec::new();
-        py.detach(|| read(&self.0, cell, &mut ids)).map_err(of_pvs)?;
+        py.detach(|| read(&self.0, cell, &mut ids))
+            .map_err(of_pvs)?;
         Ok(ids.into_pyarray(py))
     }
 
@@ -58,10 +61,15 @@ impl Pvs {
     #[new]
     fn new(py: Python<'_>, source: &Bound<'_, PyAny>) -> PyResult<Self> {
         if let Ok(bytes) = source.extract::<Vec<u8>>() {
-            return py.detach(|| sightline_pvs::Pvs::from_bytes(bytes)).map(Self).map_err(of_pvs);
+            return py
+                .detach(|| sightline_pvs::Pvs::from_bytes(bytes))
+                .map(Self)
+                .map_err(of_pvs);
         }
         let path: PathBuf = source.extract()?;
-        py.detach(|| sightline_pvs::Pvs::open(path)).map(Self).map_err(of_pvs)
+        py.detach(|| sightline_pvs::Pvs::open(path))
+            .map(Self)
+            .map_err(of_pvs)
     }
 
     /// The bytes of the file.
@@ -71,7 +79,8 @@ impl Pvs {
 
     /// Writes the file, which is complete and synced when this method returns.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
-        py.detach(|| sightline_files::write(&path, self.0.bytes())).map_err(PyErr::from)
+        py.detach(|| sightline_files::write(&path, self.0.bytes()))
+            .map_err(PyErr::from)
     }
 
     fn __reduce__<'py>(
@@ -114,7 +123,8 @@ impl Pvs {
     /// The description of the bake.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        py.import("json")?.call_method1("loads", (self.0.info_json(),))
+        py.import("json")?
+            .call_method1("loads", (self.0.info_json(),))
     }
 
     /// The numbers of cells along x, y and z; None where the cells are no regular grid.
@@ -128,34 +138,50 @@ impl Pvs {
     /// The box of all viewpoints: its least and its greatest corner.
     #[getter]
     fn view_box<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        self.0.tree().view_box().concat().into_pyarray(py).reshape([2, 3])
+        self.0
+            .tree()
+            .view_box()
+            .concat()
+            .into_pyarray(py)
+            .reshape([2, 3])
     }
 
     /// The objects of the scene as (name, first triangle, number of triangles).
     #[getter]
     fn objects(&self) -> Vec<(String, u32, u32)> {
-        self.0.objects().iter().map(|o| (o.name.clone(), o.first, o.count)).collect()
+        self.0
+            .objects()
+            .iter()
+            .map(|o| (o.name.clone(), o.first, o.count))
+            .collect()
     }
 
     /// The boxes of all cells: least x, y, z, then greatest x, y, z in each row.
     #[getter]
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let cells = 0..self.0.cells();
-        let all: Vec<f32> =
-            cells.flat_map(|cell| self.0.cell_bounds(cell).unwrap_or_default().concat()).collect();
+        let all: Vec<f32> = cells
+            .flat_map(|cell| self.0.cell_bounds(cell).unwrap_or_default().concat())
+            .collect();
         all.into_pyarray(py).reshape([self.0.cells() as usize, 6])
     }
 
     /// Whether viewpoints can be in each cell.
     #[getter]
     fn reached<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        Ok(self.all(|cell| self.0.is_reached(cell)).map_err(of_pvs)?.into_pyarray(py))
+        Ok(self
+            .all(|cell| self.0.is_reached(cell))
+            .map_err(of_pvs)?
+            .into_pyarray(py))
     }
 
     /// Whether the tile of each cell was set aside after failures, so that the cell shows everything.
     #[getter]
     fn set_aside<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        Ok(self.all(|cell| self.0.is_set_aside(cell)).map_err(of_pvs)?.into_pyarray(py))
+        Ok(self
+            .all(|cell| self.0.is_set_aside(cell))
+            .map_err(of_pvs)?
+            .into_pyarray(py))
     }
 
     /// The statistics of the bake by name, one number for each cell.
@@ -192,7 +218,11 @@ impl Pvs {
             )));
         }
         let cell = |p: [f64; 3]| self.0.find_cell_precisely(p).map_or(-1, i64::from);
-        let cells: Vec<i64> = points.rows().into_iter().map(|p| cell([p[0], p[1], p[2]])).collect();
+        let cells: Vec<i64> = points
+            .rows()
+            .into_iter()
+            .map(|p| cell([p[0], p[1], p[2]]))
+            .collect();
         Ok(cells.into_pyarray(py))
     }
 
@@ -209,31 +239,51 @@ impl Pvs {
 
     /// Whether a point of one cell may see a point of another one.
     fn sees(&self, one: CellOrPoint, other: CellOrPoint) -> PyResult<bool> {
-        self.0.sees(self.cell(&one)?, self.cell(&other)?).map_err(of_pvs)
+        self.0
+            .sees(self.cell(&one)?, self.cell(&other)?)
+            .map_err(of_pvs)
     }
 
     /// Whether a point of a cell may see a point of the box from `least` to `greatest`.
     fn sees_box(&self, of: CellOrPoint, least: [f32; 3], greatest: [f32; 3]) -> PyResult<bool> {
-        self.0.sees_box(self.cell(&of)?, least, greatest).map_err(of_pvs)
+        self.0
+            .sees_box(self.cell(&of)?, least, greatest)
+            .map_err(of_pvs)
     }
 
     /// The triangles to draw from a cell, or from the cell of a point, ascending.
-    fn visible<'py>(&self, py: Python<'py>, of: CellOrPoint) -> PyResult<Bound<'py, PyArray1<u32>>> {
+    fn visible<'py>(
+        &self,
+        py: Python<'py>,
+        of: CellOrPoint,
+    ) -> PyResult<Bound<'py, PyArray1<u32>>> {
         self.set(py, &of, sightline_pvs::Pvs::visible)
     }
 
     /// Those of them that were neither seen nor proved hidden.
-    fn undecided<'py>(&self, py: Python<'py>, of: CellOrPoint) -> PyResult<Bound<'py, PyArray1<u32>>> {
+    fn undecided<'py>(
+        &self,
+        py: Python<'py>,
+        of: CellOrPoint,
+    ) -> PyResult<Bound<'py, PyArray1<u32>>> {
         self.set(py, &of, sightline_pvs::Pvs::undecided)
     }
 
     /// The objects of the triangles to draw, ascending.
-    fn visible_objects<'py>(&self, py: Python<'py>, of: CellOrPoint) -> PyResult<Bound<'py, PyArray1<u32>>> {
+    fn visible_objects<'py>(
+        &self,
+        py: Python<'py>,
+        of: CellOrPoint,
+    ) -> PyResult<Bound<'py, PyArray1<u32>>> {
         self.set(py, &of, sightline_pvs::Pvs::visible_objects)
     }
 
     /// The items to draw: triangles, clusters or objects, by the granularity of the result.
-    fn visible_items<'py>(&self, py: Python<'py>, of: CellOrPoint) -> PyResult<Bound<'py, PyArray1<u32>>> {
+    fn visible_items<'py>(
+        &self,
+        py: Python<'py>,
+        of: CellOrPoint,
+    ) -> PyResult<Bound<'py, PyArray1<u32>>> {
         self.set(py, &of, sightline_pvs::Pvs::visible_items)
     }
 
@@ -241,7 +291,9 @@ impl Pvs {
     #[getter]
     fn set_sizes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u32>>> {
         let sizes = py.detach(|| {
-            (0..self.0.cells()).map(|cell| self.0.visible_count(cell)).collect::<Result<Vec<u32>, PvsError>>()
+            (0..self.0.cells())
+                .map(|cell| self.0.visible_count(cell))
+                .collect::<Result<Vec<u32>, PvsError>>()
         });
         Ok(sizes.map_err(of_pvs)?.into_pyarray(py))
     }
@@ -254,8 +306,13 @@ impl Pvs {
         py: Python<'py>,
         of: CellOrPoint,
     ) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
-        let Some(all) = self.0.contributions(self.cell(&of)?).map_err(of_pvs)? else { return Ok(None) };
-        let rows: Vec<f64> = all.iter().flat_map(|c| [c.mean()[1], c.greatest()[1]]).collect();
+        let Some(all) = self.0.contributions(self.cell(&of)?).map_err(of_pvs)? else {
+            return Ok(None);
+        };
+        let rows: Vec<f64> = all
+            .iter()
+            .flat_map(|c| [c.mean()[1], c.greatest()[1]])
+            .collect();
         rows.into_pyarray(py).reshape([all.len(), 2]).map(Some)
     }
 

@@ -24,7 +24,11 @@ struct Caller<'a> {
 impl Watcher for Caller<'_> {
     fn progress(&self, progress: Progress) {
         // Nobody listens any more only when the work is to stop.
-        let _ = self.progress.lock().unwrap_or_else(PoisonError::into_inner).send(progress);
+        let _ = self
+            .progress
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .send(progress);
     }
 
     fn is_stopped(&self) -> bool {
@@ -43,8 +47,13 @@ pub fn wait<T: Send>(
     let (sender, told) = channel();
     py.detach(move || {
         std::thread::scope(|scope| {
-            let caller = Caller { progress: Mutex::new(sender), stop };
-            let builder = std::thread::Builder::new().name("sightline".to_owned()).stack_size(STACK_BYTES);
+            let caller = Caller {
+                progress: Mutex::new(sender),
+                stop,
+            };
+            let builder = std::thread::Builder::new()
+                .name("sightline".to_owned())
+                .stack_size(STACK_BYTES);
             let worker = builder
                 .spawn_scoped(scope, move || work(&caller))
                 .map_err(|e| SightlineError::new_err(format!("no thread can be started: {e}")))?;
@@ -61,7 +70,9 @@ pub fn wait<T: Send>(
                     stop.store(raised.is_some(), Ordering::Relaxed);
                 }
             }
-            let done = worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            let done = worker
+                .join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             match raised {
                 Some(e) => Err(e),
                 None => done.map_err(of_command),

@@ -24,12 +24,15 @@ pub fn bake(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
     let scene = mesh::source(scene)?;
-    let done = wait(py, progress.as_ref(), |watcher| calls::bake(&scene, &output, &flags, watcher))?;
+    let done = wait(py, progress.as_ref(), |watcher| {
+        calls::bake(&scene, &output, &flags, watcher)
+    })?;
     Ok(done.to_string())
 }
 
 /// A command about a result in its scene.
-type About = fn(&Source, (&sightline_pvs::Pvs, &Path), &[OsString], &dyn Watcher) -> Result<Value, CliError>;
+type About =
+    fn(&Source, (&sightline_pvs::Pvs, &Path), &[OsString], &dyn Watcher) -> Result<Value, CliError>;
 
 fn about(
     py: Python<'_>,

@@ -29,7 +29,10 @@ impl Balancer {
                 // In turns, so that all of them are used.
                 let addresses = all.lock().unwrap().clone();
                 let order = (0..addresses.len()).map(|i| &addresses[(turn + i) % addresses.len()]);
-                if let Some(other) = order.into_iter().find_map(|address| TcpStream::connect(address).ok()) {
+                if let Some(other) = order
+                    .into_iter()
+                    .find_map(|address| TcpStream::connect(address).ok())
+                {
                     join(&stream, &other);
                     join(&other, &stream);
                 }
@@ -63,7 +66,10 @@ fn join(from: &TcpStream, to: &TcpStream) {
     to.set_nodelay(true).unwrap();
     std::thread::spawn(move || {
         let mut part = [0; 1 << 14];
-        while let Ok(1..) = from.read(&mut part).and_then(|n| to.write_all(&part[..n]).map(|()| n)) {}
+        while let Ok(1..) = from
+            .read(&mut part)
+            .and_then(|n| to.write_all(&part[..n]).map(|()| n))
+        {}
         // It may have ended already.
         let _ = to.shutdown(Shutdown::Both);
         let _ = from.shutdown(Shutdown::Both);

@@ -19,11 +19,16 @@ pub struct Browser {
 impl Browser {
     /// Starts a browser with a window of this size; `None` without chromedriver, which in CI is a failure.
     pub fn start([width, height]: [u32; 2]) -> Option<Self> {
-        let driver = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).spawn();
+        let driver = Command::new("chromedriver")
+            .arg("--port=0")
+            .stdout(Stdio::piped())
+            .spawn();
         let mut driver = match driver {
             Ok(driver) => driver,
             Err(e) if !in_ci() => {
-                eprintln!("not run: chromedriver cannot be started ({e}); scripts/setup.sh --for test");
+                eprintln!(
+                    "not run: chromedriver cannot be started ({e}); scripts/setup.sh --for test"
+                );
                 return None;
             }
             Err(e) => panic!("chromedriver cannot be started: {e}"),
@@ -31,7 +36,12 @@ impl Browser {
         let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines();
         let port = lines
             .find_map(|line| {
-                line.unwrap().rsplit_once("successfully on port ")?.1.trim_end_matches('.').parse().ok()
+                line.unwrap()
+                    .rsplit_once("successfully on port ")?
+                    .1
+                    .trim_end_matches('.')
+                    .parse()
+                    .ok()
             })
             .expect("chromedriver names its port");
         // It goes on writing.
@@ -46,7 +56,11 @@ impl Browser {
             "--hide-scrollbars".to_owned(),
             format!("--window-size={width},{height}"),
         ];
-        let mut browser = Self { driver, port, session: String::new() };
+        let mut browser = Self {
+            driver,
+            port,
+            session: String::new(),
+        };
         let wanted = json!({"capabilities": {"alwaysMatch": {
             "goog:chromeOptions": {"args": arguments},
             "goog:loggingPrefs": {"browser": "ALL"},
@@ -64,7 +78,11 @@ impl Browser {
     /// What the body of an asynchronous function in JavaScript returns.
     pub fn run(&self, body: &str) -> Value {
         let body = format!("return (async () => {{ {body} }})()");
-        self.session("POST", "/execute/sync", &json!({"script": body, "args": []}))
+        self.session(
+            "POST",
+            "/execute/sync",
+            &json!({"script": body, "args": []}),
+        )
     }
 
     /// Clicks at a place of the window.
@@ -83,13 +101,20 @@ impl Browser {
 
     /// A picture of the window, as PNG in base64.
     pub fn picture(&self) -> String {
-        self.session("GET", "/screenshot", &Value::Null).as_str().unwrap().to_owned()
+        self.session("GET", "/screenshot", &Value::Null)
+            .as_str()
+            .unwrap()
+            .to_owned()
     }
 
     /// The messages of the console since the last call.
     pub fn messages(&self) -> Vec<String> {
         let log = self.session("POST", "/se/log", &json!({"type": "browser"}));
-        log.as_array().unwrap().iter().map(|entry| entry["message"].as_str().unwrap().to_owned()).collect()
+        log.as_array()
+            .unwrap()
+            .iter()
+            .map(|entry| entry["message"].as_str().unwrap().to_owned())
+            .collect()
     }
 
     fn session(&self, verb: &str, path: &str, body: &Value) -> Value {
@@ -98,7 +123,11 @@ impl Browser {
 
     /// One request and its answer's value.
     fn call(&self, verb: &str, path: &str, body: &Value) -> Value {
-        let body = if body.is_null() { String::new() } else { body.to_string() };
+        let body = if body.is_null() {
+            String::new()
+        } else {
+            body.to_string()
+        };
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
         let length = body.len();
         write!(
@@ -109,7 +138,12 @@ impl Browser {
         .unwrap();
         let mut reader = BufReader::new(stream);
         let mut length = 0;
-        for line in reader.by_ref().lines().map(Result::unwrap).take_while(|line| !line.is_empty()) {
+        for line in reader
+            .by_ref()
+            .lines()
+            .map(Result::unwrap)
+            .take_while(|line| !line.is_empty())
+        {
             if let Some(value) = line.to_ascii_lowercase().strip_prefix("content-length:") {
                 length = value.trim().parse().unwrap();
             }
@@ -117,7 +151,10 @@ impl Browser {
         let mut answer = vec![0; length];
         reader.read_exact(&mut answer).unwrap();
         let answer: Value = serde_json::from_slice(&answer).unwrap();
-        assert!(answer["value"]["error"].is_null(), "{verb} {path}: {answer}");
+        assert!(
+            answer["value"]["error"].is_null(),
+            "{verb} {path}: {answer}"
+        );
         answer["value"].clone()
     }
 }
@@ -127,8 +164,10 @@ impl Drop for Browser {
         // The browser would outlive its driver. Nothing here may panic: a test may be failing.
         if let Ok(mut stream) = TcpStream::connect(("127.0.0.1", self.port)) {
             let path = format!("/session/{}", self.session);
-            let asked =
-                write!(stream, "DELETE {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n");
+            let asked = write!(
+                stream,
+                "DELETE {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
+            );
             if asked.is_ok() {
                 // The answer comes when the browser has ended; the driver keeps the connection open.
                 drop(stream.set_read_timeout(Some(Duration::from_secs(10))));

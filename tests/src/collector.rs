@@ -60,10 +60,17 @@ impl TraceService for Keeper {
         for of_process in r.into_inner().resource_spans {
             let process = of_process.resource.clone().unwrap_or_default();
             let resource = texts(&process.attributes);
-            for span in of_process.scope_spans.into_iter().flat_map(|scope| scope.spans) {
+            for span in of_process
+                .scope_spans
+                .into_iter()
+                .flat_map(|scope| scope.spans)
+            {
                 let status = span.status.clone().filter(|status| status.code == 2);
                 let ids = [&span.trace_id, &span.span_id, &span.parent_span_id].map(|id| hex(id));
-                let links = span.links.iter().map(|link| [hex(&link.trace_id), hex(&link.span_id)]);
+                let links = span
+                    .links
+                    .iter()
+                    .map(|link| [hex(&link.trace_id), hex(&link.span_id)]);
                 taken.push(Taken {
                     service: resource["service.name"].clone(),
                     instance: resource["service.instance.id"].clone(),
@@ -91,7 +98,10 @@ fn texts(attributes: &[KeyValue]) -> BTreeMap<String, String> {
         Some(Value::IntValue(number)) => number.to_string(),
         other => panic!("{}: {other:?} is no text and no number", of.key),
     };
-    attributes.iter().map(|of| (of.key.clone(), text(of))).collect()
+    attributes
+        .iter()
+        .map(|of| (of.key.clone(), text(of)))
+        .collect()
 }
 
 impl Default for Collector {
@@ -108,22 +118,37 @@ impl Collector {
 
     /// The same at this address.
     pub fn at(address: &str) -> Self {
-        let runtime =
-            tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .unwrap();
         let taken = Arc::<Mutex<Vec<Taken>>>::default();
-        let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).unwrap();
+        let listener = runtime
+            .block_on(tokio::net::TcpListener::bind(address))
+            .unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
         let service = TraceServiceServer::new(Keeper(Arc::clone(&taken)));
         let server = tonic::transport::Server::builder().add_service(service);
         runtime.spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
-        Self { url, taken, _silent: None, _runtime: Some(runtime) }
+        Self {
+            url,
+            taken,
+            _silent: None,
+            _runtime: Some(runtime),
+        }
     }
 
     /// One that takes connections and says nothing.
     pub fn silent() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        Self { url, taken: Arc::default(), _silent: Some(listener), _runtime: None }
+        Self {
+            url,
+            taken: Arc::default(),
+            _silent: Some(listener),
+            _runtime: None,
+        }
     }
 
     /// Its address, for `--traces`.

@@ -34,14 +34,28 @@ impl Compose {
         } else {
             return Err("neither docker-compose nor docker compose is installed".into());
         };
-        if !Command::new(root().join("deploy/base-image.sh")).status().is_ok_and(|status| status.success()) {
-            return Err("the base image cannot be made here (deploy/base-image.sh says why)".into());
+        if !Command::new(root().join("deploy/base-image.sh"))
+            .status()
+            .is_ok_and(|status| status.success())
+        {
+            return Err(
+                "the base image cannot be made here (deploy/base-image.sh says why)".into(),
+            );
         }
         // A port that is free now. Something else may take it before compose does; the test then fails saying
         // so.
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let port = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
         let project = format!("sightline-test-{}", std::process::id());
-        let compose = Self { program, image: format!("{project}:local"), project, port };
+        let compose = Self {
+            program,
+            image: format!("{project}:local"),
+            project,
+            port,
+        };
         run(Command::new(root().join("deploy/build-image.sh"))
             .arg(crate::program())
             .env("SIGHTLINE_IMAGE", &compose.image));
@@ -66,7 +80,9 @@ impl Compose {
     /// Starts the containers that are missing for one coordinator and `workers` workers; running ones stay.
     pub fn up(&self, workers: usize) {
         let scale = format!("worker={workers}");
-        run(self.command().args(["up", "--detach", "--no-recreate", "--scale", &scale]));
+        run(self
+            .command()
+            .args(["up", "--detach", "--no-recreate", "--scale", &scale]));
     }
 
     /// Ids of the worker containers that are running.
@@ -76,14 +92,19 @@ impl Compose {
 
     /// Id of the coordinator's container.
     pub fn coordinator(&self) -> String {
-        self.running("coordinator").pop().unwrap_or_else(|| panic!("no coordinator is up"))
+        self.running("coordinator")
+            .pop()
+            .unwrap_or_else(|| panic!("no coordinator is up"))
     }
 
     fn running(&self, service: &str) -> Vec<String> {
         let project = format!("label=com.docker.compose.project={}", self.project);
         let service = format!("label=com.docker.compose.service={service}");
         let filters = ["--filter", &project, "--filter", &service];
-        run(Command::new("docker").args(["ps", "--quiet"]).args(filters)).lines().map(str::to_owned).collect()
+        run(Command::new("docker").args(["ps", "--quiet"]).args(filters))
+            .lines()
+            .map(str::to_owned)
+            .collect()
     }
 
     /// The network on which workers reach the coordinator.
@@ -96,8 +117,14 @@ impl Compose {
 /// daemon's on machines whose daemon may not raise it.
 fn open_files() -> u64 {
     let limits = fs::read_to_string("/proc/self/limits").unwrap_or_default();
-    let line = limits.lines().find_map(|line| line.strip_prefix("Max open files")).unwrap_or_default();
-    let hard = line.split_whitespace().nth(1).and_then(|hard| hard.parse().ok());
+    let line = limits
+        .lines()
+        .find_map(|line| line.strip_prefix("Max open files"))
+        .unwrap_or_default();
+    let hard = line
+        .split_whitespace()
+        .nth(1)
+        .and_then(|hard| hard.parse().ok());
     hard.map_or(65_536, |hard: u64| hard.min(65_536))
 }
 
@@ -117,14 +144,24 @@ impl Drop for Compose {
     fn drop(&mut self) {
         // Nothing here may panic: that would abort the test run in the middle of a clean-up.
         if std::thread::panicking() {
-            let _shown = self.command().args(["logs", "--no-color", "--tail", "40"]).status();
+            let _shown = self
+                .command()
+                .args(["logs", "--no-color", "--tail", "40"])
+                .status();
         }
-        let down = self.command().args(["down", "--volumes", "--remove-orphans", "--timeout", "5"]).output();
+        let down = self
+            .command()
+            .args(["down", "--volumes", "--remove-orphans", "--timeout", "5"])
+            .output();
         if !down.is_ok_and(|output| output.status.success()) {
-            eprintln!("containers test: project {} could not be taken down; see docker ps", self.project);
+            eprintln!(
+                "containers test: project {} could not be taken down; see docker ps",
+                self.project
+            );
         }
-        let _absent_if_the_build_failed =
-            Command::new("docker").args(["image", "rm", "--force", &self.image]).output();
+        let _absent_if_the_build_failed = Command::new("docker")
+            .args(["image", "rm", "--force", &self.image])
+            .output();
     }
 }
 
@@ -132,7 +169,10 @@ impl Drop for Compose {
 /// fails or hangs.
 pub fn run(command: &mut Command) -> String {
     // Files, not pipes: a pipe would need a reader while this thread watches the time.
-    let (out, err) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
+    let (out, err) = (
+        tempfile::NamedTempFile::new().unwrap(),
+        tempfile::NamedTempFile::new().unwrap(),
+    );
     let began = Instant::now();
     let mut child = command
         .stdin(Stdio::null())
@@ -162,7 +202,10 @@ pub fn run(command: &mut Command) -> String {
 
 /// Whether a command can be started and succeeds; its output does not matter.
 fn succeeds(words: &[&str]) -> bool {
-    Command::new(words[0]).args(&words[1..]).output().is_ok_and(|output| output.status.success())
+    Command::new(words[0])
+        .args(&words[1..])
+        .output()
+        .is_ok_and(|output| output.status.success())
 }
 
 fn root() -> PathBuf {

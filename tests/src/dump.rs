@@ -31,14 +31,18 @@ pub struct Cell {
 impl Dump {
     /// Reads a dump. Panics where it is not of the contract's shape.
     pub fn parse(text: &str) -> Self {
-        let mut lines = text
-            .lines()
-            .map(|l| serde_json::from_str::<Value>(l).unwrap_or_else(|e| panic!("no JSON line ({e}): {l}")));
+        let mut lines = text.lines().map(|l| {
+            serde_json::from_str::<Value>(l).unwrap_or_else(|e| panic!("no JSON line ({e}): {l}"))
+        });
         let header = lines.next().unwrap();
         assert_eq!(header["format"], "sightline.pvs");
         assert_eq!(header["version"], 1);
         assert!(header["method"].is_string(), "{header}");
-        let of = if header["items"] == "objects" { "objects" } else { "triangles" };
+        let of = if header["items"] == "objects" {
+            "objects"
+        } else {
+            "triangles"
+        };
         let (all, expected) = (count(&header, of), count(&header, "cells"));
         let [low, high] = ["min", "max"].map(|corner| point(&header["view_box"][corner]));
         let cells: Vec<Cell> = lines
@@ -52,7 +56,10 @@ impl Dump {
                     undecided: ids(&line["undecided"], all),
                     reached: line["reached"].as_bool().unwrap_or(true),
                 };
-                assert!(cell.reached || cell.visible.is_empty(), "cell {i} has no viewpoints");
+                assert!(
+                    cell.reached || cell.visible.is_empty(),
+                    "cell {i} has no viewpoints"
+                );
                 for axis in 0..3 {
                     assert!(
                         low[axis] <= cell.min[axis]
@@ -61,7 +68,12 @@ impl Dump {
                         "cell {i} is empty or outside the view box: {line}"
                     );
                 }
-                assert!(cell.undecided.iter().all(|id| cell.visible.binary_search(id).is_ok()), "cell {i}");
+                assert!(
+                    cell.undecided
+                        .iter()
+                        .all(|id| cell.visible.binary_search(id).is_ok()),
+                    "cell {i}"
+                );
                 cell
             })
             .collect();
@@ -88,13 +100,27 @@ impl Cell {
 }
 
 fn point(value: &Value) -> [f64; 3] {
-    let list: Vec<f64> = value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect();
-    list.try_into().unwrap_or_else(|_| panic!("no point: {value}"))
+    let list: Vec<f64> = value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|x| x.as_f64().unwrap())
+        .collect();
+    list.try_into()
+        .unwrap_or_else(|_| panic!("no point: {value}"))
 }
 
 fn ids(value: &Value, all: u64) -> Vec<u64> {
-    let ids: Vec<u64> = value.as_array().unwrap().iter().map(|x| x.as_u64().unwrap()).collect();
+    let ids: Vec<u64> = value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|x| x.as_u64().unwrap())
+        .collect();
     assert!(ids.is_sorted_by(|a, b| a < b), "ids ascend: {value}");
-    assert!(ids.last().is_none_or(|last| *last < all), "ids are below {all}: {value}");
+    assert!(
+        ids.last().is_none_or(|last| *last < all),
+        "ids are below {all}: {value}"
+    );
     ids
 }

@@ -21,7 +21,9 @@ pub fn house(inside: &[(&str, Quad)]) -> String {
     let mut out = String::new();
     for (number, (name, corners)) in shell.iter().chain(inside).enumerate() {
         writeln!(out, "o {name}").unwrap();
-        corners.iter().for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}").unwrap());
+        corners
+            .iter()
+            .for_each(|[x, y, z]| writeln!(out, "v {x} {y} {z}").unwrap());
         let [a, b, c, d] = [1, 2, 3, 4].map(|k| 4 * number + k);
         writeln!(out, "f {a} {b} {c}\nf {a} {c} {d}").unwrap();
     }
@@ -30,5 +32,10 @@ pub fn house(inside: &[(&str, Quad)]) -> String {
 
 /// A rectangle across x, from the least to the greatest y and z.
 pub fn across(x: f32, y: [f32; 2], z: [f32; 2]) -> Quad {
-    [[x, y[0], z[0]], [x, y[1], z[0]], [x, y[1], z[1]], [x, y[0], z[1]]]
+    [
+        [x, y[0], z[0]],
+        [x, y[1], z[0]],
+        [x, y[1], z[1]],
+        [x, y[0], z[1]],
+    ]
 }

@@ -18,10 +18,18 @@ pub fn ask_with_head(
 ) -> (u32, String, Vec<u8>) {
     let host = pages.trim_start_matches("http://").trim_end_matches('/');
     let mut stream = TcpStream::connect(host).unwrap();
-    let own = if headers.contains("Host:") { String::new() } else { format!("Host: {host}\r\n") };
+    let own = if headers.contains("Host:") {
+        String::new()
+    } else {
+        format!("Host: {host}\r\n")
+    };
     let (body, close) = (body.as_ref(), "Connection: close\r\n");
-    write!(stream, "{request} HTTP/1.1\r\n{own}{headers}{close}Content-Length: {}\r\n\r\n", body.len())
-        .unwrap();
+    write!(
+        stream,
+        "{request} HTTP/1.1\r\n{own}{headers}{close}Content-Length: {}\r\n\r\n",
+        body.len()
+    )
+    .unwrap();
     // A request that is refused by its head may not be read to its end.
     drop(stream.write_all(body));
     let mut answer = Vec::new();
@@ -30,7 +38,9 @@ pub fn ask_with_head(
     let head = String::from_utf8(answer[..end].to_vec()).unwrap();
     let status = head.split(' ').nth(1).unwrap().parse().unwrap();
     let body = answer.split_off(end + 4);
-    let is_chunked = head.to_ascii_lowercase().contains("transfer-encoding: chunked");
+    let is_chunked = head
+        .to_ascii_lowercase()
+        .contains("transfer-encoding: chunked");
     (status, head, if is_chunked { joined(&body) } else { body })
 }
 

@@ -57,5 +57,10 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
 /// Panics unless both results are the same, telling where they begin to differ.
 pub fn assert_same(a: &[u8], b: &[u8], what: &str) {
     let first = a.iter().zip(b).position(|(x, y)| x != y);
-    assert!(a == b, "{what}: {} bytes against {}, first different at {first:?}", a.len(), b.len());
+    assert!(
+        a == b,
+        "{what}: {} bytes against {}, first different at {first:?}",
+        a.len(),
+        b.len()
+    );
 }

@@ -40,25 +40,48 @@ impl Postgres {
         };
         let folder = tempfile::tempdir().unwrap();
         // The server refuses to run as root.
-        let user =
-            is_root().then(|| ["postgres", "nobody"].into_iter().find(|n| exists(n)).unwrap().to_owned());
+        let user = is_root().then(|| {
+            ["postgres", "nobody"]
+                .into_iter()
+                .find(|n| exists(n))
+                .unwrap()
+                .to_owned()
+        });
         if let Some(user) = &user {
             done(Command::new("chown").arg(user).arg(folder.path()));
         }
-        let mut server = Self { folder, programs, user, settings: settings.to_owned(), port: 0, child: None };
+        let mut server = Self {
+            folder,
+            programs,
+            user,
+            settings: settings.to_owned(),
+            port: 0,
+            child: None,
+        };
         let secret = server.path("password");
         fs::write(&secret, PASSWORD).unwrap();
         if let Some(user) = &server.user {
             done(Command::new("chown").arg(user).arg(&secret));
         }
         let mut init = server.command("initdb");
-        init.args(["--username", "sightline", "--auth-local", "trust", "--auth-host", "scram-sha-256"])
-            .args(["--no-sync", "--no-locale", "--encoding", "UTF8", "--pwfile"])
-            .arg(&secret)
-            .arg("--pgdata")
-            .arg(server.path("data"));
+        init.args([
+            "--username",
+            "sightline",
+            "--auth-local",
+            "trust",
+            "--auth-host",
+            "scram-sha-256",
+        ])
+        .args(["--no-sync", "--no-locale", "--encoding", "UTF8", "--pwfile"])
+        .arg(&secret)
+        .arg("--pgdata")
+        .arg(server.path("data"));
         done(&mut init);
-        server.port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        server.port = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
         server.begin();
         server.sql("postgres", "CREATE DATABASE sightline");
         Some(server)
@@ -72,7 +95,10 @@ impl Postgres {
 
     /// The address of its database on loopback, where the password is asked for.
     pub fn url_with_password(&self) -> String {
-        format!("postgres://sightline:{PASSWORD}@127.0.0.1:{}/sightline", self.port)
+        format!(
+            "postgres://sightline:{PASSWORD}@127.0.0.1:{}/sightline",
+            self.port
+        )
     }
 
     /// The address of its database on loopback, without the password.
@@ -88,7 +114,13 @@ impl Postgres {
     /// Carries out statements; gives what they select, a row a line.
     pub fn sql(&self, database: &str, text: &str) -> String {
         let mut psql = Command::new(self.programs.join("psql"));
-        psql.args(["-h", self.folder.path().to_str().unwrap(), "-p", &self.port.to_string()]).args([
+        psql.args([
+            "-h",
+            self.folder.path().to_str().unwrap(),
+            "-p",
+            &self.port.to_string(),
+        ])
+        .args([
             "-U",
             "sightline",
             "-d",
@@ -122,18 +154,31 @@ impl Postgres {
         server
             .arg("-D")
             .arg(self.path("data"))
-            .args(["-c", "listen_addresses=127.0.0.1", "-c", &format!("port={}", self.port)])
-            .args(["-c", &format!("unix_socket_directories={}", self.folder.path().display())])
+            .args([
+                "-c",
+                "listen_addresses=127.0.0.1",
+                "-c",
+                &format!("port={}", self.port),
+            ])
+            .args([
+                "-c",
+                &format!("unix_socket_directories={}", self.folder.path().display()),
+            ])
             .args(self.settings.split_whitespace())
             .stdout(Stdio::null())
             .stderr(File::create(&log).unwrap());
         self.child = Some(server.spawn().unwrap());
         wait_for("PostgreSQL to accept connections", || {
             let said = fs::read_to_string(&log).unwrap_or_default();
-            if let Some(status) = self.child.as_mut().and_then(|child| child.try_wait().unwrap()) {
+            if let Some(status) = self
+                .child
+                .as_mut()
+                .and_then(|child| child.try_wait().unwrap())
+            {
                 panic!("PostgreSQL ended with {status}:\n{said}");
             }
-            said.contains("database system is ready to accept connections").then_some(())
+            said.contains("database system is ready to accept connections")
+                .then_some(())
         });
     }
 
@@ -149,7 +194,16 @@ impl Postgres {
             Some(user) => {
                 let mut command = Command::new("setpriv");
                 // It replaces itself with the program, so that the process is the program's.
-                command.args(["--reuid", user, "--clear-groups", "--pdeathsig", "KILL", "--"]).arg(program);
+                command
+                    .args([
+                        "--reuid",
+                        user,
+                        "--clear-groups",
+                        "--pdeathsig",
+                        "KILL",
+                        "--",
+                    ])
+                    .arg(program);
                 command
             }
         };
@@ -174,7 +228,9 @@ impl Drop for Postgres {
     fn drop(&mut self) {
         if let Some(mut child) = self.child.take() {
             // Its children end with it. It may have ended by itself.
-            let _ = Command::new("sh").args(["-c", &format!("kill -QUIT {}", child.id())]).status();
+            let _ = Command::new("sh")
+                .args(["-c", &format!("kill -QUIT {}", child.id())])
+                .status();
             let _ = child.wait();
         }
     }
@@ -182,9 +238,14 @@ impl Drop for Postgres {
 
 /// Where Debian has the programs of its newest server.
 fn programs() -> Option<PathBuf> {
-    let versions = fs::read_dir("/usr/lib/postgresql").ok()?.flatten().map(|entry| entry.path().join("bin"));
+    let versions = fs::read_dir("/usr/lib/postgresql")
+        .ok()?
+        .flatten()
+        .map(|entry| entry.path().join("bin"));
     let number = |path: &Path| path.parent()?.file_name()?.to_str()?.parse::<u32>().ok();
-    versions.filter(|path| path.join("initdb").is_file()).max_by_key(|path| number(path))
+    versions
+        .filter(|path| path.join("initdb").is_file())
+        .max_by_key(|path| number(path))
 }
 
 fn is_root() -> bool {
@@ -202,7 +263,13 @@ fn exists(user: &str) -> bool {
 
 /// Runs a command, which must succeed; gives what it printed.
 fn done(command: &mut Command) -> String {
-    let output = command.output().unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
-    assert!(output.status.success(), "{command:?}:\n{}", String::from_utf8_lossy(&output.stderr));
+    let output = command
+        .output()
+        .unwrap_or_else(|e| panic!("{command:?} does not start: {e}"));
+    assert!(
+        output.status.success(),
+        "{command:?}:\n{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     String::from_utf8(output.stdout).unwrap()
 }

@@ -34,7 +34,12 @@ impl Sandbox {
         // Nothing of the user's settings, and nothing into the user's cache.
         let cache = folder.path().join("cache").into();
         let variables = vec![("XDG_CACHE_HOME".into(), cache)];
-        Self { folder, variables, descriptors: None, runs: AtomicU32::new(0) }
+        Self {
+            folder,
+            variables,
+            descriptors: None,
+            runs: AtomicU32::new(0),
+        }
     }
 
     /// Sets an environment variable for all that runs from now on.
@@ -65,9 +70,20 @@ impl Sandbox {
     /// How many files there are below `name`; 0 when it is not there.
     pub fn files_below(&self, name: &str) -> usize {
         fn count(folder: &Path) -> usize {
-            let Ok(entries) = fs::read_dir(folder) else { return 0 };
+            let Ok(entries) = fs::read_dir(folder) else {
+                return 0;
+            };
             // What vanishes while it is looked at is not counted.
-            entries.flatten().map(|e| if e.path().is_dir() { count(&e.path()) } else { 1 }).sum()
+            entries
+                .flatten()
+                .map(|e| {
+                    if e.path().is_dir() {
+                        count(&e.path())
+                    } else {
+                        1
+                    }
+                })
+                .sum()
         }
         count(&self.path(name))
     }
@@ -78,7 +94,9 @@ impl Sandbox {
             Some(most) => {
                 // The shell's own `ulimit`, which sets both limits.
                 let mut command = Command::new("sh");
-                command.args(["-c", &format!("ulimit -n {most} && exec \"$0\" \"$@\"")]).arg(program);
+                command
+                    .args(["-c", &format!("ulimit -n {most} && exec \"$0\" \"$@\"")])
+                    .arg(program);
                 command
             }
         };
@@ -100,17 +118,30 @@ impl Sandbox {
     /// Runs `sightline LINE` to its end under limits that a shell sets, such as `ulimit -n 20`.
     pub fn run_limited(&self, limits: &str, line: &str) -> Run {
         let mut command = self.command(Path::new("sh"), "");
-        command.arg("-c").arg(format!("{limits} && exec \"$0\" {line}")).arg(program());
-        self.background(command, &format!("{line} after {limits}")).end()
+        command
+            .arg("-c")
+            .arg(format!("{limits} && exec \"$0\" {line}"))
+            .arg(program());
+        self.background(command, &format!("{line} after {limits}"))
+            .end()
     }
 
     fn background(&self, mut command: Command, line: &str) -> Background {
         let number = self.runs.fetch_add(1, Ordering::Relaxed);
         let [out, err] = ["out", "err"].map(|kind| self.path(&format!(".{number}.{kind}")));
         // Files, not pipes: nobody has to keep reading.
-        command.stdout(File::create(&out).unwrap()).stderr(File::create(&err).unwrap());
-        let child = command.spawn().unwrap_or_else(|e| panic!("sightline {line} does not start: {e}"));
-        Background { line: line.to_owned(), child, out, err }
+        command
+            .stdout(File::create(&out).unwrap())
+            .stderr(File::create(&err).unwrap());
+        let child = command
+            .spawn()
+            .unwrap_or_else(|e| panic!("sightline {line} does not start: {e}"));
+        Background {
+            line: line.to_owned(),
+            child,
+            out,
+            err,
+        }
     }
 
     /// Runs `sightline LINE` to its end. Whatever the exit code, a panic in it is a failure.
@@ -146,21 +177,54 @@ impl Sandbox {
 
     /// Starts a coordinator with these arguments, `--listen` among them, with its data in `data`.
     pub fn serve(&self, data: &str, arguments: &str) -> Coordinator<'_> {
-        let mut command = self.command(program(), &format!("coordinator {arguments} --data-dir {data}"));
-        let log = self.path(&format!(".{data}.{}.log", self.runs.fetch_add(1, Ordering::Relaxed)));
-        command.stdout(Stdio::piped()).stderr(File::create(&log).unwrap());
+        let mut command = self.command(
+            program(),
+            &format!("coordinator {arguments} --data-dir {data}"),
+        );
+        let log = self.path(&format!(
+            ".{data}.{}.log",
+            self.runs.fetch_add(1, Ordering::Relaxed)
+        ));
+        command
+            .stdout(Stdio::piped())
+            .stderr(File::create(&log).unwrap());
         let mut child = command.spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let mut line = || lines.next().map(Result::unwrap).unwrap_or_default();
         let first = line();
-        let second = if arguments.contains("--http") { line() } else { String::new() };
-        let third = if arguments.contains("--metrics-listen") { line() } else { String::new() };
+        let second = if arguments.contains("--http") {
+            line()
+        } else {
+            String::new()
+        };
+        let third = if arguments.contains("--metrics-listen") {
+            line()
+        } else {
+            String::new()
+        };
         let coordinator = Coordinator {
             sandbox: self,
-            process: Background { line: "coordinator".into(), child, out: PathBuf::new(), err: log },
-            url: first.trim().strip_prefix("listening on ").unwrap_or_default().to_owned(),
-            pages: second.trim().strip_prefix("dashboard on ").unwrap_or_default().to_owned(),
-            metrics: third.trim().strip_prefix("metrics on ").unwrap_or_default().to_owned(),
+            process: Background {
+                line: "coordinator".into(),
+                child,
+                out: PathBuf::new(),
+                err: log,
+            },
+            url: first
+                .trim()
+                .strip_prefix("listening on ")
+                .unwrap_or_default()
+                .to_owned(),
+            pages: second
+                .trim()
+                .strip_prefix("dashboard on ")
+                .unwrap_or_default()
+                .to_owned(),
+            metrics: third
+                .trim()
+                .strip_prefix("metrics on ")
+                .unwrap_or_default()
+                .to_owned(),
         };
         assert!(
             coordinator.url.starts_with("http"),
@@ -204,7 +268,12 @@ impl Run {
     /// Panics unless stderr has `text` in it.
     #[track_caller]
     pub fn says(self, text: &str) -> Self {
-        assert!(self.err.contains(text), "sightline {} does not say '{text}':\n{}", self.line, self.err);
+        assert!(
+            self.err.contains(text),
+            "sightline {} does not say '{text}':\n{}",
+            self.line,
+            self.err
+        );
         self
     }
 }
@@ -241,8 +310,14 @@ impl Background {
     /// Sends it a signal by its name, such as `TERM`.
     pub fn signal(&self, name: &str) {
         // The shell's own `kill`, which is there even where no other is.
-        let sent = Command::new("sh").args(["-c", &format!("kill -{name} {}", self.child.id())]).status();
-        assert!(sent.unwrap().success(), "SIG{name} could not be sent to sightline {}", self.line);
+        let sent = Command::new("sh")
+            .args(["-c", &format!("kill -{name} {}", self.child.id())])
+            .status();
+        assert!(
+            sent.unwrap().success(),
+            "SIG{name} could not be sent to sightline {}",
+            self.line
+        );
     }
 
     /// Kills it, as a crash or the machine's end would.
@@ -258,11 +333,26 @@ impl Background {
             if let Some(status) = self.child.try_wait().unwrap() {
                 break status;
             }
-            assert!(began.elapsed() < LIMIT, "sightline {} hangs:\n{}", self.line, self.err());
+            assert!(
+                began.elapsed() < LIMIT,
+                "sightline {} hangs:\n{}",
+                self.line,
+                self.err()
+            );
             std::thread::sleep(std::time::Duration::from_millis(2));
         };
-        let run = Run { line: self.line.clone(), status, out: self.out(), err: self.err() };
-        assert!(!run.err.contains("panicked"), "sightline {} panicked:\n{}", run.line, run.err);
+        let run = Run {
+            line: self.line.clone(),
+            status,
+            out: self.out(),
+            err: self.err(),
+        };
+        assert!(
+            !run.err.contains("panicked"),
+            "sightline {} panicked:\n{}",
+            run.line,
+            run.err
+        );
         run
     }
 }
@@ -299,7 +389,8 @@ impl Coordinator<'_> {
 
     /// Starts a client command against it.
     pub fn start(&self, line: &str) -> Background {
-        self.sandbox.start(&format!("{line} --coordinator {}", self.url))
+        self.sandbox
+            .start(&format!("{line} --coordinator {}", self.url))
     }
 
     /// Runs a client command against it.
@@ -314,7 +405,8 @@ impl Coordinator<'_> {
 
     /// Runs a client command against it with `--json`; gives the document.
     pub fn json(&self, line: &str) -> Value {
-        self.sandbox.json(&format!("{line} --coordinator {}", self.url))
+        self.sandbox
+            .json(&format!("{line} --coordinator {}", self.url))
     }
 
     /// Starts a worker with one thread on the cpu backend.
@@ -334,7 +426,9 @@ impl Coordinator<'_> {
 
     /// Waits until `seen` is satisfied by what `show --json` says of a job.
     pub fn until(&self, job: u64, what: &str, seen: impl Fn(&Value) -> bool) -> Value {
-        wait_for(what, || Some(self.json(&format!("show {job}"))).filter(&seen))
+        wait_for(what, || {
+            Some(self.json(&format!("show {job}"))).filter(&seen)
+        })
     }
 
     /// Follows a job to its end, which must be a success, and downloads it.
@@ -348,5 +442,7 @@ impl Coordinator<'_> {
 
 /// A number in a JSON object.
 pub(crate) fn count(value: &Value, key: &str) -> u64 {
-    value[key].as_u64().unwrap_or_else(|| panic!("no count '{key}' in {value}"))
+    value[key]
+        .as_u64()
+        .unwrap_or_else(|| panic!("no count '{key}' in {value}"))
 }

@@ -11,7 +11,11 @@ pub fn program() -> &'static Path {
     PROGRAM.get_or_init(|| match std::env::var_os("SIGHTLINE_BIN") {
         Some(named) => {
             let named = PathBuf::from(named);
-            assert!(named.is_file(), "SIGHTLINE_BIN names no file: {}", named.display());
+            assert!(
+                named.is_file(),
+                "SIGHTLINE_BIN names no file: {}",
+                named.display()
+            );
             // Tests run it from other folders.
             std::path::absolute(named).unwrap()
         }
@@ -41,14 +45,23 @@ fn built(targets: &[&str], name: &str) -> PathBuf {
     cargo
         // The whole workspace: for one package cargo would choose other features and build the
         // dependencies again.
-        .args(["build", "--workspace", "--profile", profile, "--message-format", "json-render-diagnostics"])
+        .args([
+            "build",
+            "--workspace",
+            "--profile",
+            profile,
+            "--message-format",
+            "json-render-diagnostics",
+        ])
         .args(targets)
         .arg("--target-dir")
         .arg(folder.parent().unwrap())
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .stdin(Stdio::null())
         .stderr(Stdio::inherit());
-    let built = cargo.output().unwrap_or_else(|e| panic!("{cargo:?} does not start: {e}"));
+    let built = cargo
+        .output()
+        .unwrap_or_else(|e| panic!("{cargo:?} does not start: {e}"));
     assert!(built.status.success(), "{cargo:?} failed");
     let messages = String::from_utf8(built.stdout).unwrap();
     messages

@@ -23,7 +23,10 @@ pub fn libraries() -> PathBuf {
 
 /// The folder of the Python package.
 pub fn python_folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("python")
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .join("python")
 }
 
 fn make() -> Option<PathBuf> {
@@ -43,12 +46,23 @@ fn make() -> Option<PathBuf> {
         install(&python, &source);
         return Some(python);
     }
-    run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&environment));
+    run(Command::new("python3")
+        .args(["-m", "venv", "--clear"])
+        .arg(&environment));
     let names = "import sys, re; text = open(sys.argv[1]).read(); \
                  print(*re.findall(r'\"([^\"]+)\"', re.search(r'^test = \\[(.*)\\]', text, re.M).group(1)))";
-    let names = run(Command::new(&python).args(["-c", names]).arg(source.join("pyproject.toml")));
+    let names = run(Command::new(&python)
+        .args(["-c", names])
+        .arg(source.join("pyproject.toml")));
     let mut pip = Command::new(&python);
-    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "numpy"]);
+    pip.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "numpy",
+    ]);
     run(pip.args(names.split_whitespace()));
     install(&python, &source);
     fs::write(stamp, wanted).unwrap();
@@ -57,18 +71,26 @@ fn make() -> Option<PathBuf> {
 
 /// Copies the package into the environment.
 fn install(python: &Path, source: &Path) {
-    let place =
-        run(Command::new(python).args(["-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]));
+    let place = run(Command::new(python).args([
+        "-c",
+        "import sysconfig; print(sysconfig.get_path('purelib'))",
+    ]));
     let package = Path::new(place.trim()).join("sightline");
     fs::create_dir_all(&package).unwrap();
-    for entry in fs::read_dir(source.join("python/sightline")).unwrap().map(Result::unwrap) {
+    for entry in fs::read_dir(source.join("python/sightline"))
+        .unwrap()
+        .map(Result::unwrap)
+    {
         if entry.path().is_file() {
             put(&entry.path(), &package.join(entry.file_name()));
         }
     }
     let name = libraries().join("lib_sightline.so");
-    let native = [name.clone(), name.with_extension("dylib")].into_iter().find(|native| native.is_file());
-    let native = native.unwrap_or_else(|| panic!("{} is not there: cargo build --workspace", name.display()));
+    let native = [name.clone(), name.with_extension("dylib")]
+        .into_iter()
+        .find(|native| native.is_file());
+    let native = native
+        .unwrap_or_else(|| panic!("{} is not there: cargo build --workspace", name.display()));
     put(&native, &package.join("_sightline.abi3.so"));
 }
 
@@ -83,7 +105,9 @@ fn put(from: &Path, to: &Path) {
 }
 
 fn run(command: &mut Command) -> String {
-    let out = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+    let out = command
+        .output()
+        .unwrap_or_else(|e| panic!("{command:?}: {e}"));
     assert!(
         out.status.success(),
         "{command:?}: {}{}",

@@ -14,8 +14,10 @@ impl Site {
     /// Serves files: each entry is the beginning of addresses and the folder they are in, or one address and
     /// its file. Of several that fit, the first counts.
     pub fn start(entries: &[(&str, PathBuf)]) -> Self {
-        let entries: Arc<[(String, PathBuf)]> =
-            entries.iter().map(|(from, to)| ((*from).to_owned(), to.clone())).collect();
+        let entries: Arc<[(String, PathBuf)]> = entries
+            .iter()
+            .map(|(from, to)| ((*from).to_owned(), to.clone()))
+            .collect();
         let listener = TcpListener::bind(("127.0.0.1", 0)).unwrap();
         let port = listener.local_addr().unwrap().port();
         std::thread::spawn(move || {
@@ -35,14 +37,18 @@ impl Site {
 
 /// Answers one request. A browser that goes away is no fault.
 fn answer(mut stream: TcpStream, entries: &[(String, PathBuf)]) -> Option<()> {
-    let mut lines = BufReader::new(stream.try_clone().ok()?).lines().map_while(Result::ok);
+    let mut lines = BufReader::new(stream.try_clone().ok()?)
+        .lines()
+        .map_while(Result::ok);
     let first = lines.next()?;
     let _rest: Vec<String> = lines.take_while(|line| !line.is_empty()).collect();
     let path = first.split(' ').nth(1)?.split('?').next()?.to_owned();
-    let file = entries.iter().find_map(|(from, to)| match path.strip_prefix(from.as_str())? {
-        "" => Some(to.clone()),
-        rest => from.ends_with('/').then(|| to.join(rest)),
-    });
+    let file = entries
+        .iter()
+        .find_map(|(from, to)| match path.strip_prefix(from.as_str())? {
+            "" => Some(to.clone()),
+            rest => from.ends_with('/').then(|| to.join(rest)),
+        });
     let (status, body) = match file.and_then(|file| std::fs::read(file).ok()) {
         Some(body) => ("200 OK", body),
         None => ("404 Not Found", Vec::new()),

@@ -33,7 +33,12 @@ pub struct SystemCall {
 impl SystemCall {
     /// Returns true if the call did not fail.
     pub fn succeeded(&self) -> bool {
-        !self.text.rsplit(" = ").next().unwrap_or_default().starts_with('-')
+        !self
+            .text
+            .rsplit(" = ")
+            .next()
+            .unwrap_or_default()
+            .starts_with('-')
     }
 }
 
@@ -41,17 +46,27 @@ impl Strace {
     /// Prepares a recording in the file `log`. Returns `None`, and prints the reason in one line, where
     /// `strace` cannot run. On CI that is a failure.
     pub fn new(log: &Path) -> Option<Self> {
-        let strace = Self { log: log.to_owned() };
-        let ran = strace.command(Path::new("true"), "fsync").stderr(Stdio::piped()).output();
+        let strace = Self {
+            log: log.to_owned(),
+        };
+        let ran = strace
+            .command(Path::new("true"), "fsync")
+            .stderr(Stdio::piped())
+            .output();
         let reason = match ran {
             Ok(ran) if ran.status.success() && ran.stderr.is_empty() => {
                 drop(strace.calls());
                 return Some(strace);
             }
-            Ok(ran) => String::from_utf8_lossy(&ran.stderr).trim().replace('\n', "; "),
+            Ok(ran) => String::from_utf8_lossy(&ran.stderr)
+                .trim()
+                .replace('\n', "; "),
             Err(e) => e.to_string(),
         };
-        assert!(!in_ci(), "strace has to run in continuous integration: {reason}");
+        assert!(
+            !in_ci(),
+            "strace has to run in continuous integration: {reason}"
+        );
         eprintln!("not run: the order of system calls (strace cannot run: {reason})");
         None
     }
@@ -60,8 +75,14 @@ impl Strace {
     pub fn command(&self, program: &Path, calls: &str) -> Command {
         let mut command = Command::new("strace");
         // -D: the tracer is not a child of the test; -y: descriptors with paths; whole strings.
-        command.args(["-D", "-f", "-q", "-y", "-s", "4096", "-o"]).arg(&self.log);
-        command.arg("-e").arg(format!("trace={calls}")).arg("--").arg(program);
+        command
+            .args(["-D", "-f", "-q", "-y", "-s", "4096", "-o"])
+            .arg(&self.log);
+        command
+            .arg("-e")
+            .arg(format!("trace={calls}"))
+            .arg("--")
+            .arg(program);
         command
     }
 
@@ -85,23 +106,34 @@ fn parse(log: &str) -> Vec<SystemCall> {
     let mut pending: Vec<(&str, usize, &str)> = Vec::new();
     let mut calls = Vec::new();
     for (number, line) in log.lines().enumerate() {
-        let Some((thread, rest)) = line.split_once(' ') else { continue };
+        let Some((thread, rest)) = line.split_once(' ') else {
+            continue;
+        };
         let rest = rest.trim_start();
         let (begun, text) = if let Some(begin) = rest.strip_suffix("<unfinished ...>") {
             pending.push((thread, number, begin));
             continue;
         } else if let Some(resumed) = rest.strip_prefix("<... ") {
             let at = pending.iter().position(|(of, ..)| *of == thread);
-            let Some((_, begun, begin)) = at.map(|at| pending.remove(at)) else { continue };
+            let Some((_, begun, begin)) = at.map(|at| pending.remove(at)) else {
+                continue;
+            };
             let end = resumed.split_once(" resumed>").map_or("", |(_, end)| end);
             (begun, format!("{begin}{end}"))
         } else {
             (number, rest.to_owned())
         };
         // Not the lines about signals and ends.
-        let Some((name, text)) = text.split_once('(') else { continue };
+        let Some((name, text)) = text.split_once('(') else {
+            continue;
+        };
         if name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') {
-            calls.push(SystemCall { begun, returned: number, name: name.to_owned(), text: text.to_owned() });
+            calls.push(SystemCall {
+                begun,
+                returned: number,
+                name: name.to_owned(),
+                text: text.to_owned(),
+            });
         }
     }
     calls
@@ -119,8 +151,14 @@ mod tests {
                    7 +++ exited with 0 +++\n";
         let calls = parse(log);
         assert_eq!(calls.len(), 2, "{calls:?}");
-        assert_eq!((calls[0].name.as_str(), calls[0].succeeded()), ("rename", false));
-        assert_eq!((calls[1].begun, calls[1].returned, calls[1].succeeded()), (0, 2, true));
+        assert_eq!(
+            (calls[0].name.as_str(), calls[0].succeeded()),
+            ("rename", false)
+        );
+        assert_eq!(
+            (calls[1].begun, calls[1].returned, calls[1].succeeded()),
+            (0, 2, true)
+        );
         assert_eq!(calls[1].text, "3</a> ) = 0");
     }
 }

@@ -5,11 +5,15 @@
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 
-use rcgen::{CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair};
+use rcgen::{
+    CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair,
+};
 use sightline_proto::connecting::{Bearer, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_tests::{Background, Coordinator, Sandbox, ask, ask_with_head, assert_same, wait_for};
+use sightline_tests::{
+    Background, Coordinator, Sandbox, ask, ask_with_head, assert_same, wait_for,
+};
 
 /// Writes an authority as `NAME.pem` and gives it.
 fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair> {
@@ -22,7 +26,8 @@ fn authority(sandbox: &Sandbox, name: &str) -> CertifiedIssuer<'static, KeyPair>
 
 /// Writes a certificate that an authority has signed, as `NAME.pem` and `NAME.key`.
 fn certificate(sandbox: &Sandbox, name: &str, by: &CertifiedIssuer<'static, KeyPair>) {
-    let mut params = CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
+    let mut params =
+        CertificateParams::new(vec!["localhost".to_owned(), "127.0.0.1".to_owned()]).unwrap();
     params.extended_key_usages = vec![Purpose::ServerAuth, Purpose::ClientAuth];
     let key = KeyPair::generate().unwrap();
     let signed = params.signed_by(&key, by).unwrap();
@@ -36,7 +41,12 @@ fn prepared() -> Sandbox {
     let farm = authority(&sandbox, "farm");
     certificate(&sandbox, "server", &farm);
     certificate(&sandbox, "worker", &farm);
-    for (user, scope) in [("ada", "submit"), ("bob", "submit"), ("eve", "read"), ("root", "admin")] {
+    for (user, scope) in [
+        ("ada", "submit"),
+        ("bob", "submit"),
+        ("eve", "read"),
+        ("root", "admin"),
+    ] {
         token(&sandbox, user, scope);
     }
     sandbox.ok("generate town --triangles 2000 -o town.glb");
@@ -44,28 +54,41 @@ fn prepared() -> Sandbox {
 }
 
 fn token(sandbox: &Sandbox, user: &str, scope: &str) {
-    let text = sandbox.ok(&format!("token new --tokens tokens.json --user {user} --scope {scope}"));
+    let text = sandbox.ok(&format!(
+        "token new --tokens tokens.json --user {user} --scope {scope}"
+    ));
     sandbox.write(&format!("{user}.token"), text);
 }
 
 fn guarded(sandbox: &Sandbox) -> Coordinator<'_> {
-    let files = "--tls-cert server.pem --tls-key server.key --client-ca farm.pem --tokens tokens.json";
+    let files =
+        "--tls-cert server.pem --tls-key server.key --client-ca farm.pem --tokens tokens.json";
     sandbox.serve("data", &format!("--listen 127.0.0.1:0 {files}"))
 }
 
 fn certified_worker(coordinator: &Coordinator<'_>) -> Background {
-    coordinator.start("worker --backend cpu --threads 1 --ca farm.pem --cert worker.pem --key worker.key")
+    coordinator
+        .start("worker --backend cpu --threads 1 --ca farm.pem --cert worker.pem --key worker.key")
 }
 
 /// What follows a mark in a stream of events that does not end, up to the end of its line.
 fn first_of_stream(pages: &str, path: &str, headers: &str, mark: &str) -> String {
     let mut stream = TcpStream::connect(pages).unwrap();
-    stream.set_read_timeout(Some(sightline_tests::LIMIT)).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {pages}\r\n{headers}\r\n").unwrap();
+    stream
+        .set_read_timeout(Some(sightline_tests::LIMIT))
+        .unwrap();
+    write!(
+        stream,
+        "GET {path} HTTP/1.1\r\nHost: {pages}\r\n{headers}\r\n"
+    )
+    .unwrap();
     let mut text = String::new();
     let mut part = [0; 4096];
     loop {
-        if let Some(line) = text.split_once(mark).and_then(|(_, rest)| rest.split_once('\n')) {
+        if let Some(line) = text
+            .split_once(mark)
+            .and_then(|(_, rest)| rest.split_once('\n'))
+        {
             return line.0.to_owned();
         }
         let read = stream.read(&mut part).unwrap();
@@ -83,50 +106,104 @@ fn users_see_their_own_and_the_bytes_are_those_of_bake() {
     let worker = certified_worker(&coordinator);
     let [ada, bob, eve, root] =
         ["ada", "bob", "eve", "root"].map(|n| format!("--ca farm.pem --token-file {n}.token"));
-    let job: u64 = coordinator.ok(&format!("submit {JOB} {ada}")).trim().parse().unwrap();
+    let job: u64 = coordinator
+        .ok(&format!("submit {JOB} {ada}"))
+        .trim()
+        .parse()
+        .unwrap();
     coordinator.ok(&format!("watch {job} {ada}"));
     coordinator.ok(&format!("fetch {job} -o ada.pvs {ada}"));
     sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
-    assert_same(&sandbox.read("ada.pvs"), &sandbox.read("alone.pvs"), "encrypted and alone");
+    assert_same(
+        &sandbox.read("ada.pvs"),
+        &sandbox.read("alone.pvs"),
+        "encrypted and alone",
+    );
 
     // Others learn nothing, not even that the job is there.
-    for command in ["show", "watch", "cancel", "pause", "resume", "retry", "delete", "logs"] {
+    for command in [
+        "show", "watch", "cancel", "pause", "resume", "retry", "delete", "logs",
+    ] {
         let denied = coordinator
             .run(&format!("{command} {job} {bob}"))
             .code(4)
             .says(&format!("job {job} is not known"));
         assert_eq!(
             denied.err,
-            coordinator.run(&format!("{command} 77 {bob}")).err.replace("77", &job.to_string())
+            coordinator
+                .run(&format!("{command} 77 {bob}"))
+                .err
+                .replace("77", &job.to_string())
         );
     }
-    coordinator.run(&format!("fetch {job} -o stolen.pvs {bob}")).code(4).says("is not known");
-    coordinator.run(&format!("priority {job} 5 {bob}")).code(4).says("is not known");
+    coordinator
+        .run(&format!("fetch {job} -o stolen.pvs {bob}"))
+        .code(4)
+        .says("is not known");
+    coordinator
+        .run(&format!("priority {job} 5 {bob}"))
+        .code(4)
+        .says("is not known");
     assert!(!sandbox.path("stolen.pvs").exists());
     assert_eq!(coordinator.ok(&format!("jobs {bob}")), "");
     // The same job of another user is a job of its own, with the same bytes.
-    let own: u64 = coordinator.ok(&format!("submit {JOB} {bob}")).trim().parse().unwrap();
+    let own: u64 = coordinator
+        .ok(&format!("submit {JOB} {bob}"))
+        .trim()
+        .parse()
+        .unwrap();
     assert_ne!(own, job);
     coordinator.ok(&format!("watch {own} {bob}"));
     coordinator.ok(&format!("fetch {own} -o bob.pvs {bob}"));
-    assert_same(&sandbox.read("bob.pvs"), &sandbox.read("ada.pvs"), "of two users");
+    assert_same(
+        &sandbox.read("bob.pvs"),
+        &sandbox.read("ada.pvs"),
+        "of two users",
+    );
     // Each sees one, the admin both; a reader may not submit, and only an admin sees the farm.
     for (who, count) in [(&ada, 1), (&bob, 1), (&eve, 0), (&root, 2)] {
-        assert_eq!(coordinator.ok(&format!("jobs {who}")).lines().count(), count);
+        assert_eq!(
+            coordinator.ok(&format!("jobs {who}")).lines().count(),
+            count
+        );
     }
-    coordinator.run(&format!("submit {JOB} {eve}")).code(4).says("needs the scope submit");
-    coordinator.run(&format!("workers {ada}")).code(4).says("needs the scope admin");
-    coordinator.run(&format!("logs {ada}")).code(4).says("scope admin");
+    coordinator
+        .run(&format!("submit {JOB} {eve}"))
+        .code(4)
+        .says("needs the scope submit");
+    coordinator
+        .run(&format!("workers {ada}"))
+        .code(4)
+        .says("needs the scope admin");
+    coordinator
+        .run(&format!("logs {ada}"))
+        .code(4)
+        .says("scope admin");
     coordinator.ok(&format!("workers {root}"));
     coordinator.ok(&format!("logs {root}"));
     // The user that a job names is the token's, whatever the client says.
-    let other = coordinator.ok(&format!("submit {JOB} --seed 3 --user bob {ada}")).trim().to_owned();
-    assert!(coordinator.ok(&format!("show {other} --json {ada}")).contains("\"user\":\"ada\""));
+    let other = coordinator
+        .ok(&format!("submit {JOB} --seed 3 --user bob {ada}"))
+        .trim()
+        .to_owned();
+    assert!(
+        coordinator
+            .ok(&format!("show {other} --json {ada}"))
+            .contains("\"user\":\"ada\"")
+    );
     // Others' jobs are no older jobs of one's own: ada has two, with one of bob between them.
     let page = coordinator.run(&format!("jobs --limit 1 {ada}")).code(0);
-    assert!(page.err.contains("older jobs") && page.out.lines().count() == 1, "{}", page.err);
+    assert!(
+        page.err.contains("older jobs") && page.out.lines().count() == 1,
+        "{}",
+        page.err
+    );
     let page = coordinator.run(&format!("jobs --limit 1 {bob}")).code(0);
-    assert!(!page.err.contains("older jobs") && page.out.lines().count() == 1, "{}", page.err);
+    assert!(
+        !page.err.contains("older jobs") && page.out.lines().count() == 1,
+        "{}",
+        page.err
+    );
     // No secret is in any log.
     for name in ["ada", "bob", "eve", "root"] {
         let text = String::from_utf8(sandbox.read(&format!("{name}.token"))).unwrap();
@@ -142,11 +219,21 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
     let arguments = format!("--listen 127.0.0.1:0 --tokens tokens.json {quotas}");
     let coordinator = sandbox.serve("data", &arguments);
     let [ada, bob] = ["ada", "bob"].map(|n| format!("--token-file {n}.token"));
-    let job: u64 = coordinator.ok(&format!("submit {JOB} {ada}")).trim().parse().unwrap();
+    let job: u64 = coordinator
+        .ok(&format!("submit {JOB} {ada}"))
+        .trim()
+        .parse()
+        .unwrap();
     // The same job again is no other one.
-    assert_eq!(coordinator.ok(&format!("submit {JOB} {ada}")).trim(), job.to_string());
+    assert_eq!(
+        coordinator.ok(&format!("submit {JOB} {ada}")).trim(),
+        job.to_string()
+    );
     let other = format!("submit {JOB} --seed 5 {ada}");
-    coordinator.run(&other).code(4).says("ada may have 1 jobs, and would have 2");
+    coordinator
+        .run(&other)
+        .code(4)
+        .says("ada may have 1 jobs, and would have 2");
     coordinator.ok(&format!("cancel {job} {ada}"));
     coordinator.ok(&format!("delete {job} {ada}"));
     coordinator.ok(&other);
@@ -159,8 +246,9 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
     assert!(refused);
     coordinator.ok(&format!("jobs {ada}"));
     for bad in ["beer=1", "jobs", "jobs=-1", "bytes=1X"] {
-        let run =
-            sandbox.run(&format!("coordinator --tokens tokens.json --quota {bad} --listen 127.0.0.1:0"));
+        let run = sandbox.run(&format!(
+            "coordinator --tokens tokens.json --quota {bad} --listen 127.0.0.1:0"
+        ));
         run.code(2).says("is no quota");
     }
 }
@@ -169,28 +257,52 @@ fn a_user_has_and_does_as_much_as_the_quota_says() {
 fn calls_as_json_count_as_calls_do() {
     let sandbox = prepared();
     let quotas = "--quota ada:requests=1 --quota bob:calls=2,requests=none";
-    let arguments = format!("--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json {quotas}");
+    let arguments =
+        format!("--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json {quotas}");
     let coordinator = sandbox.serve("data", &arguments);
-    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let pages = coordinator
+        .pages
+        .trim_start_matches("http://")
+        .trim_end_matches('/')
+        .to_owned();
     let with = |user: &str| {
         let token = String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap();
-        format!("content-type: application/json\r\nauthorization: Bearer {}\r\n", token.trim())
+        format!(
+            "content-type: application/json\r\nauthorization: Bearer {}\r\n",
+            token.trim()
+        )
     };
     let list = |user: &str| {
         let (code, body) = ask(&pages, "POST /sightline.v1.Jobs/List", &with(user), "{}");
         (code, String::from_utf8(body).unwrap())
     };
     // Five calls are saved up, and calls of both kinds take from them.
-    let refused = (0..20).map(|_| list("ada")).find(|(code, _)| *code != 200).unwrap();
+    let refused = (0..20)
+        .map(|_| list("ada"))
+        .find(|(code, _)| *code != 200)
+        .unwrap();
     assert_eq!(refused.0, 429);
-    assert!(refused.1.contains("ada may make 1 calls a second"), "{}", refused.1);
-    let is_refused = |_| coordinator.run("jobs --token-file ada.token").err.contains("1 calls a second");
+    assert!(
+        refused.1.contains("ada may make 1 calls a second"),
+        "{}",
+        refused.1
+    );
+    let is_refused = |_| {
+        coordinator
+            .run("jobs --token-file ada.token")
+            .err
+            .contains("1 calls a second")
+    };
     assert!((0..20).any(is_refused));
     // A call counts from its first byte to the last one of its answer: these two wait for their requests.
     let open = || {
         let mut stream = TcpStream::connect(&pages).unwrap();
         let head = format!("host: {pages}\r\n{}content-length: 2\r\n", with("bob"));
-        write!(stream, "POST /sightline.v1.Jobs/List HTTP/1.1\r\n{head}\r\n").unwrap();
+        write!(
+            stream,
+            "POST /sightline.v1.Jobs/List HTTP/1.1\r\n{head}\r\n"
+        )
+        .unwrap();
         stream
     };
     let mut streams = vec![open(), open()];
@@ -202,10 +314,18 @@ fn calls_as_json_count_as_calls_do() {
         }
         (code != 200).then_some((code, text))
     });
-    assert!(refused.0 == 429 && refused.1.contains("bob may have 2 calls"), "{refused:?}");
-    coordinator.run("jobs --token-file bob.token").code(4).says("bob may have 2 calls");
+    assert!(
+        refused.0 == 429 && refused.1.contains("bob may have 2 calls"),
+        "{refused:?}"
+    );
+    coordinator
+        .run("jobs --token-file bob.token")
+        .code(4)
+        .says("bob may have 2 calls");
     drop(streams);
-    wait_for("the end of the calls", || (list("bob").0 == 200).then_some(()));
+    wait_for("the end of the calls", || {
+        (list("bob").0 == 200).then_some(())
+    });
 }
 
 #[test]
@@ -216,22 +336,40 @@ fn who_is_not_known_gets_nowhere() {
     sandbox.write("made-up.token", format!("slt_00000000_{}", "0".repeat(64)));
     {
         let coordinator = guarded(&sandbox);
-        coordinator.run("jobs --ca farm.pem").code(4).says("needs a token");
+        coordinator
+            .run("jobs --ca farm.pem")
+            .code(4)
+            .says("needs a token");
         coordinator
             .run("jobs --ca farm.pem --token-file made-up.token")
             .code(4)
             .says("not known here, or was revoked");
-        coordinator.run("jobs").code(4).says("--ca names the authority");
-        coordinator.run("jobs --ca stranger.pem").code(4).says("--ca names the authority");
-        coordinator.run("jobs --ca missing.pem").code(3).says("missing.pem");
+        coordinator
+            .run("jobs")
+            .code(4)
+            .says("--ca names the authority");
+        coordinator
+            .run("jobs --ca stranger.pem")
+            .code(4)
+            .says("--ca names the authority");
+        coordinator
+            .run("jobs --ca missing.pem")
+            .code(3)
+            .says("missing.pem");
         coordinator.ok("health --ca farm.pem");
         // Plain text at an encrypted address.
         let plain = coordinator.url.replace("https", "http");
         sandbox.run(&format!("jobs --coordinator {plain}")).code(4);
         // A worker ends at once when it may not work; it would try for ever else.
         let worker = "worker --backend cpu --threads 1 --ca farm.pem";
-        coordinator.run(worker).code(4).says("a worker needs a certificate");
-        coordinator.run(&format!("{worker} --token-file ada.token")).code(4).says("needs the scope worker");
+        coordinator
+            .run(worker)
+            .code(4)
+            .says("a worker needs a certificate");
+        coordinator
+            .run(&format!("{worker} --token-file ada.token"))
+            .code(4)
+            .says("needs the scope worker");
         let forged = format!("{worker} --cert forged.pem --key forged.key --give-up-after 1");
         coordinator.run(&forged).code(4);
         // A worker's certificate opens no jobs.
@@ -241,9 +379,15 @@ fn who_is_not_known_gets_nowhere() {
             .says("needs the scope read");
     }
     // A token does not leave the machine in the clear, and is no argument.
-    sandbox.run("jobs --coordinator http://10.0.0.1:7600 --token-file ada.token").code(2).says("unencrypted");
+    sandbox
+        .run("jobs --coordinator http://10.0.0.1:7600 --token-file ada.token")
+        .code(2)
+        .says("unencrypted");
     sandbox.write("empty.token", "\n");
-    sandbox.run("jobs --token-file empty.token").code(2).says("one line");
+    sandbox
+        .run("jobs --token-file empty.token")
+        .code(2)
+        .says("one line");
     // The environment serves as well.
     let text = String::from_utf8(sandbox.read("ada.token")).unwrap();
     sandbox.set("SIGHTLINE_TOKEN", text.trim());
@@ -257,11 +401,16 @@ fn a_digest_alone_opens_no_scene() {
     let sandbox = prepared();
     let coordinator = guarded(&sandbox);
     let ada = "--ca farm.pem --token-file ada.token";
-    let job = coordinator.ok(&format!("submit {JOB} {ada}")).trim().to_owned();
+    let job = coordinator
+        .ok(&format!("submit {JOB} {ada}"))
+        .trim()
+        .to_owned();
     let shown = coordinator.ok(&format!("show {job} --json {ada}"));
     let shown: serde_json::Value = serde_json::from_str(&shown).unwrap();
     let hex = shown["scene"].as_str().unwrap().to_owned();
-    let scene: Vec<u8> = (0..32).map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap()).collect();
+    let scene: Vec<u8> = (0..32)
+        .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap())
+        .collect();
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let of = |user: &str| {
         let token = String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap();
@@ -274,8 +423,14 @@ fn a_digest_alone_opens_no_scene() {
         JobsClient::new(credentials.over(runtime.block_on(endpoint.connect()).unwrap()))
     };
     let (mut ada, mut bob) = (of("ada"), of("bob"));
-    let spec = v1::JobSpec { scene: scene.clone(), ..v1::JobSpec::default() };
-    let request = v1::SubmitRequest { spec: Some(spec), ..v1::SubmitRequest::default() };
+    let spec = v1::JobSpec {
+        scene: scene.clone(),
+        ..v1::JobSpec::default()
+    };
+    let request = v1::SubmitRequest {
+        spec: Some(spec),
+        ..v1::SubmitRequest::default()
+    };
     let refused = runtime.block_on(bob.submit(request.clone())).unwrap_err();
     assert_eq!(refused.code(), tonic::Code::NotFound, "{refused}");
     let refused = runtime.block_on(bob.estimate(request.clone())).unwrap_err();
@@ -289,13 +444,24 @@ fn a_digest_alone_opens_no_scene() {
     assert!(estimate.existing.is_none() && estimate.cost.is_none());
     runtime.block_on(ada.submit(request)).unwrap();
     // The scene is one chunk, whose digest is the scene's: for who has not sent it, it is missing.
-    let missing = v1::MissingChunksRequest { digests: vec![scene.clone()] };
-    let missing = runtime.block_on(bob.missing_chunks(missing)).unwrap().into_inner();
+    let missing = v1::MissingChunksRequest {
+        digests: vec![scene.clone()],
+    };
+    let missing = runtime
+        .block_on(bob.missing_chunks(missing))
+        .unwrap()
+        .into_inner();
     assert_eq!(missing.digests, std::slice::from_ref(&scene));
-    let put = v1::PutSceneRequest { digest: scene.clone(), chunks: vec![scene.clone()] };
+    let put = v1::PutSceneRequest {
+        digest: scene.clone(),
+        chunks: vec![scene.clone()],
+    };
     let refused = runtime.block_on(bob.put_scene(put)).unwrap_err();
     assert_eq!(refused.code(), tonic::Code::FailedPrecondition, "{refused}");
-    let put = v1::PutSceneRequest { digest: scene.clone(), chunks: Vec::new() };
+    let put = v1::PutSceneRequest {
+        digest: scene.clone(),
+        chunks: Vec::new(),
+    };
     assert!(runtime.block_on(bob.put_scene(put)).is_err());
 }
 
@@ -307,39 +473,80 @@ fn certificates_and_tokens_change_while_it_serves() {
     coordinator.ok(&format!("jobs {ada}"));
     // A revoked token is refused, a new one accepted.
     let listed = sandbox.ok("token list --tokens tokens.json");
-    let id = listed.lines().find(|line| line.ends_with("ada")).unwrap().split(' ').next().unwrap();
+    let id = listed
+        .lines()
+        .find(|line| line.ends_with("ada"))
+        .unwrap()
+        .split(' ')
+        .next()
+        .unwrap();
     sandbox.ok(&format!("token revoke --tokens tokens.json {id}"));
-    sandbox.run(&format!("token revoke --tokens tokens.json {id}")).code(3).says("has no token");
+    sandbox
+        .run(&format!("token revoke --tokens tokens.json {id}"))
+        .code(3)
+        .says("has no token");
     wait_for("the token to be refused", || {
-        coordinator.run(&format!("jobs {ada}")).err.contains("was revoked").then_some(())
+        coordinator
+            .run(&format!("jobs {ada}"))
+            .err
+            .contains("was revoked")
+            .then_some(())
     });
     token(&sandbox, "new", "read");
     wait_for("the new token to be known", || {
-        coordinator.run("jobs --ca farm.pem --token-file new.token").err.is_empty().then_some(())
+        coordinator
+            .run("jobs --ca farm.pem --token-file new.token")
+            .err
+            .is_empty()
+            .then_some(())
     });
     // Spoilt certificates change nothing; good ones are used from then on.
     let good = sandbox.read("server.pem");
     sandbox.write("server.pem", "spoilt");
     coordinator.process.signal("HUP");
-    wait_for("the log to tell", || coordinator.process.err().contains("stay in use").then_some(()));
+    wait_for("the log to tell", || {
+        coordinator
+            .process
+            .err()
+            .contains("stay in use")
+            .then_some(())
+    });
     coordinator.ok("jobs --ca farm.pem --token-file new.token");
     sandbox.write("server.pem", good);
     let next = authority(&sandbox, "next");
     certificate(&sandbox, "server", &next);
     coordinator.process.signal("HUP");
     wait_for("the new certificate", || {
-        coordinator.run("jobs --ca next.pem --token-file new.token").err.is_empty().then_some(())
+        coordinator
+            .run("jobs --ca next.pem --token-file new.token")
+            .err
+            .is_empty()
+            .then_some(())
     });
-    coordinator.run("jobs --ca farm.pem --token-file new.token").code(4).says("is not trusted");
+    coordinator
+        .run("jobs --ca farm.pem --token-file new.token")
+        .code(4)
+        .says("is not trusted");
     // What cannot be used ends the start.
     for (files, says) in [
         ("--tls-cert town.glb --tls-key server.key", "town.glb"),
-        ("--tls-cert server.pem --tls-key worker.key", "cannot be used together"),
+        (
+            "--tls-cert server.pem --tls-key worker.key",
+            "cannot be used together",
+        ),
         ("--tls-cert server.pem --tls-key missing.key", "missing.key"),
-        ("--tls-cert server.pem --tls-key server.key --client-ca server.key", "authority"),
+        (
+            "--tls-cert server.pem --tls-key server.key --client-ca server.key",
+            "authority",
+        ),
         ("--tokens town.glb", "not a file of tokens"),
     ] {
-        sandbox.run(&format!("coordinator --listen 127.0.0.1:0 --data-dir other {files}")).code(3).says(says);
+        sandbox
+            .run(&format!(
+                "coordinator --listen 127.0.0.1:0 --data-dir other {files}"
+            ))
+            .code(3)
+            .says(says);
     }
     sandbox.run("coordinator --tls-cert server.pem").code(2);
 }
@@ -349,25 +556,64 @@ fn calls_as_json_need_tokens_too() {
     let sandbox = prepared();
     let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json";
     let coordinator = sandbox.serve("data", arguments);
-    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
-    let of =
-        |user: &str| String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap().trim().to_owned();
+    let pages = coordinator
+        .pages
+        .trim_start_matches("http://")
+        .trim_end_matches('/')
+        .to_owned();
+    let of = |user: &str| {
+        String::from_utf8(sandbox.read(&format!("{user}.token")))
+            .unwrap()
+            .trim()
+            .to_owned()
+    };
     let json = "content-type: application/json\r\n";
     let list = "POST /sightline.v1.Jobs/List";
     assert_eq!(ask(&pages, list, json, "{}").0, 401);
     let with = |user: &str| format!("{json}authorization: Bearer {}\r\n", of(user));
     assert_eq!(ask(&pages, list, &with("eve"), "{}").0, 200);
-    assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("ada"), "{}").0, 403);
-    assert_eq!(ask(&pages, "POST /sightline.v1.Farm/ListWorkers", &with("root"), "{}").0, 200);
+    assert_eq!(
+        ask(
+            &pages,
+            "POST /sightline.v1.Farm/ListWorkers",
+            &with("ada"),
+            "{}"
+        )
+        .0,
+        403
+    );
+    assert_eq!(
+        ask(
+            &pages,
+            "POST /sightline.v1.Farm/ListWorkers",
+            &with("root"),
+            "{}"
+        )
+        .0,
+        200
+    );
     // Pages show the jobs of all users: they ask for an admin's token.
     assert_eq!(ask(&pages, "GET /", "", "").0, 401);
     assert_eq!(ask(&pages, "GET /live", "", "").0, 401);
     assert_eq!(ask(&pages, "GET /", &with("ada"), "").0, 403);
     // The stream of a job shows it, to whom it may.
-    let job = coordinator.ok(&format!("submit {JOB} --token-file ada.token")).trim().to_owned();
-    let live = |who: &str| first_of_stream(&pages, &format!("/live?job={job}"), &with(who), "event: job\n");
+    let job = coordinator
+        .ok(&format!("submit {JOB} --token-file ada.token"))
+        .trim()
+        .to_owned();
+    let live = |who: &str| {
+        first_of_stream(
+            &pages,
+            &format!("/live?job={job}"),
+            &with(who),
+            "event: job\n",
+        )
+    };
     assert!(live("root").contains("\"job\":{"));
-    assert_eq!(ask(&pages, &format!("GET /live?job={job}"), &with("ada"), "").0, 403);
+    assert_eq!(
+        ask(&pages, &format!("GET /live?job={job}"), &with("ada"), "").0,
+        403
+    );
 }
 
 #[test]
@@ -375,10 +621,18 @@ fn browser_session_ends_at_logout_and_with_its_token() {
     let sandbox = prepared();
     let arguments = "--listen 127.0.0.1:0 --http 127.0.0.1:0 --tokens tokens.json";
     let coordinator = sandbox.serve("data", arguments);
-    let pages = coordinator.pages.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let pages = coordinator
+        .pages
+        .trim_start_matches("http://")
+        .trim_end_matches('/')
+        .to_owned();
     let port = pages.rsplit(':').next().unwrap();
-    let of =
-        |user: &str| String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap().trim().to_owned();
+    let of = |user: &str| {
+        String::from_utf8(sandbox.read(&format!("{user}.token")))
+            .unwrap()
+            .trim()
+            .to_owned()
+    };
     let form = "content-type: application/x-www-form-urlencoded\r\n";
     let sent = |token: &str| ask_with_head(&pages, "POST /login", form, format!("token={token}"));
     assert_eq!(sent(&of("ada")).0, 403);
@@ -389,11 +643,21 @@ fn browser_session_ends_at_logout_and_with_its_token() {
     let login = || {
         let (code, head, _) = sent(&of("root"));
         assert_eq!(code, 303);
-        let set = head.lines().find_map(|line| line.strip_prefix("set-cookie: ")).unwrap().to_owned();
-        assert!(!set.contains(of("root").rsplit('_').next().unwrap()), "{set}");
+        let set = head
+            .lines()
+            .find_map(|line| line.strip_prefix("set-cookie: "))
+            .unwrap()
+            .to_owned();
+        assert!(
+            !set.contains(of("root").rsplit('_').next().unwrap()),
+            "{set}"
+        );
         let (id, flags) = set.split_once("; ").unwrap();
         assert_eq!(flags, "Path=/; HttpOnly; SameSite=Strict; Max-Age=43200");
-        assert!(id.starts_with(&format!("sightline-session-{port}=")), "{id}");
+        assert!(
+            id.starts_with(&format!("sightline-session-{port}=")),
+            "{id}"
+        );
         format!("cookie: other=1; {id}\r\n")
     };
     let [first, second] = [login(), login()];
@@ -401,21 +665,47 @@ fn browser_session_ends_at_logout_and_with_its_token() {
     let (code, head, page) = ask_with_head(&pages, "GET /", &first, "");
     assert!(code == 200 && page.len() > 10_000);
     assert!(head.contains("x-content-type-options: nosniff"), "{head}");
-    let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
-    assert!(policy.starts_with("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    let policy = head
+        .lines()
+        .find_map(|line| line.strip_prefix("content-security-policy: "))
+        .unwrap();
+    assert!(
+        policy.starts_with("default-src 'none'") && !policy.contains("unsafe"),
+        "{policy}"
+    );
     let scene = format!("content-type: application/octet-stream\r\n{first}");
-    assert_eq!(ask(&pages, "POST /scenes?name=town.glb", &scene, sandbox.read("town.glb")).0, 200);
+    assert_eq!(
+        ask(
+            &pages,
+            "POST /scenes?name=town.glb",
+            &scene,
+            sandbox.read("town.glb")
+        )
+        .0,
+        200
+    );
     // Neither the token in a cookie nor another id opens a page.
     let raw = format!("cookie: sightline-session-{port}={}\r\n", of("root"));
     assert_eq!(ask(&pages, "GET /", &raw, "").0, 401);
-    assert_eq!(ask(&pages, "GET /", &first.replace("session-", "session-1"), "").0, 401);
+    assert_eq!(
+        ask(&pages, "GET /", &first.replace("session-", "session-1"), "").0,
+        401
+    );
     // A logout ends one session, the end of the token ends the others.
     let (code, head, _) = ask_with_head(&pages, "POST /logout", &first, "");
     assert!(code == 303 && head.contains("Max-Age=0"), "{head}");
     assert_eq!(ask(&pages, "GET /", &first, "").0, 401);
     assert_eq!(ask(&pages, "GET /", &second, "").0, 200);
     let listed = sandbox.ok("token list --tokens tokens.json");
-    let id = listed.lines().find(|line| line.contains("root")).and_then(|l| l.split_whitespace().next());
-    sandbox.ok(&format!("token revoke --tokens tokens.json {}", id.unwrap()));
-    wait_for("the end of the session", || (ask(&pages, "GET /", &second, "").0 == 401).then_some(()));
+    let id = listed
+        .lines()
+        .find(|line| line.contains("root"))
+        .and_then(|l| l.split_whitespace().next());
+    sandbox.ok(&format!(
+        "token revoke --tokens tokens.json {}",
+        id.unwrap()
+    ));
+    wait_for("the end of the session", || {
+        (ask(&pages, "GET /", &second, "").0 == 401).then_some(())
+    });
 }

@@ -38,7 +38,11 @@ fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
             }
             let middle = (a + b + c) / 3.0;
             let point = middle + (a - middle) * f64::from(turn % 9) / 10.0;
-            out.push(Receiver { point, normal: normal.normalize(), triangle: Some(id) });
+            out.push(Receiver {
+                point,
+                normal: normal.normalize(),
+                triangle: Some(id),
+            });
             if out.len() == count {
                 return out;
             }
@@ -50,12 +54,21 @@ fn receivers(scene: &Scene, count: usize) -> Vec<Receiver> {
 /// Openness with falloff, and a light.
 fn settings() -> Settings {
     let light = Light::new(&[[0.0, 9.0, 0.0], [5.0, 9.0, 0.0], [5.0, 9.0, 5.0]]).unwrap();
-    Settings { falloff: Falloff::Sqrt, lights: vec![light], ..Settings::new(DISTANCE) }
+    Settings {
+        falloff: Falloff::Sqrt,
+        lights: vec![light],
+        ..Settings::new(DISTANCE)
+    }
 }
 
 async fn connect(coordinator: &Coordinator<'_>) -> JobsClient<Connection> {
     let credentials = Credentials::default();
-    let channel = credentials.endpoint(&coordinator.url).unwrap().connect().await.unwrap();
+    let channel = credentials
+        .endpoint(&coordinator.url)
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     JobsClient::new(credentials.over(channel))
 }
 
@@ -67,44 +80,80 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     let prepared = Prepared::new(&scene, false).unwrap();
     let solver = Solver::new(&prepared, settings());
     let ordered = Ordered::new(&solver, &all);
-    let whom = Whom { name: "town".to_owned(), ..Whom::default() };
+    let whom = Whom {
+        name: "town".to_owned(),
+        ..Whom::default()
+    };
     let mut results = Vec::new();
     for (data, workers, kills) in [("one", 1, false), ("two", 2, false), ("killed", 2, true)] {
         let coordinator = sandbox.coordinator(data, "127.0.0.1:0");
         let mut client = connect(&coordinator).await;
-        let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+        let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
+            .await
+            .unwrap();
         assert_eq!((job.tiles_total, job.cells_total), (5, RECEIVERS as u64));
         let mut working: Vec<_> = (0..workers).map(|_| coordinator.worker()).collect();
         if kills {
             coordinator.until(job.id, "the job's middle", |job| {
-                job["tiles_done"].as_u64().unwrap() > 0 && job["tiles_running"].as_u64().unwrap() > 0
+                job["tiles_done"].as_u64().unwrap() > 0
+                    && job["tiles_running"].as_u64().unwrap() > 0
             });
             working.remove(0).kill();
         }
         coordinator.ok(&format!("watch {}", job.id));
         // The same again is answered with the same job.
-        let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+        let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
+            .await
+            .unwrap();
         assert_eq!((again.id, again.state()), (job.id, v1::JobState::Done));
-        assert_eq!((again.cells_done, again.tiles_set_aside), (RECEIVERS as u64, 0));
+        assert_eq!(
+            (again.cells_done, again.tiles_set_aside),
+            (RECEIVERS as u64, 0)
+        );
         assert_eq!(again.profile, "none");
-        let openness = ambient_job::fetch(&mut client, &again, &ordered.receivers).await.unwrap();
+        let openness = ambient_job::fetch(&mut client, &again, &ordered.receivers)
+            .await
+            .unwrap();
         assert_eq!(openness.missing(), 0);
         results.push((again.result, openness));
         // It has no sets.
-        coordinator.run(&format!("fetch {} -o town.pvs", job.id)).code(2).says("ambient occlusion");
+        coordinator
+            .run(&format!("fetch {} -o town.pvs", job.id))
+            .code(2)
+            .says("ambient occlusion");
     }
     let (digest, openness) = &results[0];
-    assert!(results.iter().all(|(other, _)| other == digest), "the bytes differ");
+    assert!(
+        results.iter().all(|(other, _)| other == digest),
+        "the bytes differ"
+    );
     let solved = solver.solve(&all, |_| {});
     let numbers = solved.iter().flat_map(|a| [a.openness.open, a.lights[0]]);
     let expected: Vec<f32> = numbers.map(|x| (x as f32).clamp(0.0, 1.0)).collect();
-    assert!(ordered.back(openness) == expected, "the answers are not those of the solver");
-    let bound = solved.iter().fold(0.0, |most: f64, a| most.max(a.openness.bound));
+    assert!(
+        ordered.back(openness) == expected,
+        "the answers are not those of the solver"
+    );
+    let bound = solved
+        .iter()
+        .fold(0.0, |most: f64, a| most.max(a.openness.bound));
     assert_eq!(openness.bound, bound);
     // Some are in the open, and some are not.
-    let mean =
-        |k: usize| expected.iter().skip(k).step_by(2).map(|x| f64::from(*x)).sum::<f64>() / RECEIVERS as f64;
-    assert!((0.1..0.98).contains(&mean(0)) && mean(1) > 1e-4, "{} {}", mean(0), mean(1));
+    let mean = |k: usize| {
+        expected
+            .iter()
+            .skip(k)
+            .step_by(2)
+            .map(|x| f64::from(*x))
+            .sum::<f64>()
+            / RECEIVERS as f64
+    };
+    assert!(
+        (0.1..0.98).contains(&mean(0)) && mean(1) > 1e-4,
+        "{} {}",
+        mean(0),
+        mean(1)
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -117,30 +166,57 @@ async fn a_job_whose_receivers_are_lost_waits_until_they_are_sent_again() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let mut client = connect(&coordinator).await;
     let whom = Whom::default();
-    let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap().id;
+    let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
+        .await
+        .unwrap()
+        .id;
     let digest = blake3::hash(&ordered.receivers.encode().unwrap()).to_hex();
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
     std::fs::remove_file(sandbox.path(&blob)).unwrap();
     let _worker = coordinator.worker();
     // The job waits, and says for what.
     let paused = coordinator.until(job, "a pause", |job| job["state"] == "paused");
-    assert!(paused["reason"].as_str().unwrap().contains("send the receivers again"), "{paused}");
-    assert!(coordinator.ok(&format!("logs {job}")).contains("send the receivers again"));
+    assert!(
+        paused["reason"]
+            .as_str()
+            .unwrap()
+            .contains("send the receivers again"),
+        "{paused}"
+    );
+    assert!(
+        coordinator
+            .ok(&format!("logs {job}"))
+            .contains("send the receivers again")
+    );
     // The same again sends them, and the job goes on.
-    let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
+    let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
+        .await
+        .unwrap();
     assert_eq!(again.id, job);
     coordinator.ok(&format!("watch {job}"));
-    let done = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom).await.unwrap();
-    assert_eq!((done.id, done.state(), done.reason.as_str()), (job, v1::JobState::Done, ""));
-    let openness = ambient_job::fetch(&mut client, &done, &ordered.receivers).await.unwrap();
+    let done = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
+        .await
+        .unwrap();
+    assert_eq!(
+        (done.id, done.state(), done.reason.as_str()),
+        (job, v1::JobState::Done, "")
+    );
+    let openness = ambient_job::fetch(&mut client, &done, &ordered.receivers)
+        .await
+        .unwrap();
     assert_eq!((openness.points(), openness.missing()), (300, 0));
 }
 
 #[track_caller]
 fn refused<T>(answer: Result<T, Status>, code: Code, text: &str) {
-    let Err(status) = answer else { panic!("was not refused as {code:?}") };
+    let Err(status) = answer else {
+        panic!("was not refused as {code:?}")
+    };
     assert_eq!(status.code(), code, "{status:?}");
-    assert!(status.message().contains(text), "{status:?} does not say {text:?}");
+    assert!(
+        status.message().contains(text),
+        "{status:?} does not say {text:?}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -151,15 +227,31 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     let client = connect(&coordinator).await;
     let put_chunk = async |bytes: &[u8]| {
         let (crc32c, total) = (crc32c::crc32c(bytes), bytes.len() as u64);
-        let chunk = v1::Chunk { data: bytes.to_vec(), crc32c, offset: 0, total, address: None };
-        client.clone().put_chunks(tokio_stream::iter([chunk])).await.unwrap();
+        let chunk = v1::Chunk {
+            data: bytes.to_vec(),
+            crc32c,
+            offset: 0,
+            total,
+            address: None,
+        };
+        client
+            .clone()
+            .put_chunks(tokio_stream::iter([chunk]))
+            .await
+            .unwrap();
     };
     let put = async |bytes: &[u8]| {
         let mut client = client.clone();
         let digest = blake3::hash(bytes).as_bytes().to_vec();
         put_chunk(bytes).await;
-        let request = v1::PutReceiversRequest { chunks: vec![digest.clone()], digest: digest.clone() };
-        client.put_receivers(request).await.map(tonic::Response::into_inner)
+        let request = v1::PutReceiversRequest {
+            chunks: vec![digest.clone()],
+            digest: digest.clone(),
+        };
+        client
+            .put_receivers(request)
+            .await
+            .map(tonic::Response::into_inner)
     };
     let prepared = Prepared::new(&scene, false).unwrap();
     let ordered = |change: &dyn Fn(&mut Receiver)| {
@@ -177,60 +269,165 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     let nan = f64::NAN.to_le_bytes();
     let first = good.len() - 3 * 52;
     refused(put(b"halls").await, Code::InvalidArgument, "cut short");
-    refused(put(&bent(0, b"X")).await, Code::InvalidArgument, "do not begin");
+    refused(
+        put(&bent(0, b"X")).await,
+        Code::InvalidArgument,
+        "do not begin",
+    );
     refused(put(&bent(8, &nan)).await, Code::InvalidArgument, "distance");
-    refused(put(&bent(8, &0f64.to_le_bytes())).await, Code::InvalidArgument, "distance");
+    refused(
+        put(&bent(8, &0f64.to_le_bytes())).await,
+        Code::InvalidArgument,
+        "distance",
+    );
     refused(put(&bent(16, &[2])).await, Code::InvalidArgument, "falloff");
-    refused(put(&bent(17, &u32::MAX.to_le_bytes())).await, Code::InvalidArgument, "announce more");
-    refused(put(&bent(21, &u32::MAX.to_le_bytes())).await, Code::InvalidArgument, "announce more");
-    refused(put(&bent(first, &nan)).await, Code::InvalidArgument, "receiver 0");
-    refused(put(&bent(first + 52 + 24, &[0; 24])).await, Code::InvalidArgument, "receiver 1");
-    refused(put(&good[..good.len() - 1]).await, Code::InvalidArgument, "blocks");
+    refused(
+        put(&bent(17, &u32::MAX.to_le_bytes())).await,
+        Code::InvalidArgument,
+        "announce more",
+    );
+    refused(
+        put(&bent(21, &u32::MAX.to_le_bytes())).await,
+        Code::InvalidArgument,
+        "announce more",
+    );
+    refused(
+        put(&bent(first, &nan)).await,
+        Code::InvalidArgument,
+        "receiver 0",
+    );
+    refused(
+        put(&bent(first + 52 + 24, &[0; 24])).await,
+        Code::InvalidArgument,
+        "receiver 1",
+    );
+    refused(
+        put(&good[..good.len() - 1]).await,
+        Code::InvalidArgument,
+        "blocks",
+    );
     // Lights.
     let lit = |corners: &[[f64; 3]]| {
-        let words = [1, corners.len() as u32].into_iter().flat_map(u32::to_le_bytes);
-        let light: Vec<u8> = words.chain(corners.iter().flatten().flat_map(|x| x.to_le_bytes())).collect();
+        let words = [1, corners.len() as u32]
+            .into_iter()
+            .flat_map(u32::to_le_bytes);
+        let light: Vec<u8> = words
+            .chain(corners.iter().flatten().flat_map(|x| x.to_le_bytes()))
+            .collect();
         [&good[..17], &light, &good[21..]].concat()
     };
-    let dented = lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0], [1.0, 9.0, 1.0], [0.0, 9.0, 4.0]]);
+    let dented = lit(&[
+        [0.0, 9.0, 0.0],
+        [4.0, 9.0, 0.0],
+        [1.0, 9.0, 1.0],
+        [0.0, 9.0, 4.0],
+    ]);
     for (light, text) in [
-        (&dented, "light 0 of the job cannot be used: it is not convex at corner 2; divide it"),
-        (&lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0]]), "give a convex polygon of 3 to 64"),
-        (&lit(&[[0.0, 9.0, 0.0], [4.0, f64::NAN, 0.0], [0.0, 9.0, 4.0]]), "corner 1 is not finite"),
-        (&lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0], [8.0, 9.0, 0.0]]), "no area"),
+        (
+            &dented,
+            "light 0 of the job cannot be used: it is not convex at corner 2; divide it",
+        ),
+        (
+            &lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0]]),
+            "give a convex polygon of 3 to 64",
+        ),
+        (
+            &lit(&[[0.0, 9.0, 0.0], [4.0, f64::NAN, 0.0], [0.0, 9.0, 4.0]]),
+            "corner 1 is not finite",
+        ),
+        (
+            &lit(&[[0.0, 9.0, 0.0], [4.0, 9.0, 0.0], [8.0, 9.0, 0.0]]),
+            "no area",
+        ),
     ] {
         refused(put(light).await, Code::InvalidArgument, text);
     }
-    put(&lit(&[[0.0, 9.0, 0.0], [0.0, 9.0, 4.0], [4.0, 9.0, 0.0]])).await.unwrap();
+    put(&lit(&[[0.0, 9.0, 0.0], [0.0, 9.0, 4.0], [4.0, 9.0, 0.0]]))
+        .await
+        .unwrap();
     // Jobs.
     let mut jobs = client.clone();
-    ambient_job::submit(&mut jobs, &scene, &ordered(&|_| ()), &Whom::default()).await.unwrap();
+    ambient_job::submit(&mut jobs, &scene, &ordered(&|_| ()), &Whom::default())
+        .await
+        .unwrap();
     let submit = async |receivers: Vec<u8>, change: &dyn Fn(&mut v1::JobSpec)| {
-        let ambient = v1::Ambient { receivers, ..v1::Ambient::default() };
+        let ambient = v1::Ambient {
+            receivers,
+            ..v1::Ambient::default()
+        };
         let (scene, ambient) = (scene.digest().0.to_vec(), Some(ambient));
-        let mut spec = v1::JobSpec { scene, ambient, ..v1::JobSpec::default() };
+        let mut spec = v1::JobSpec {
+            scene,
+            ambient,
+            ..v1::JobSpec::default()
+        };
         change(&mut spec);
-        let request = v1::SubmitRequest { spec: Some(spec), ..v1::SubmitRequest::default() };
-        client.clone().submit(request).await.map(tonic::Response::into_inner)
+        let request = v1::SubmitRequest {
+            spec: Some(spec),
+            ..v1::SubmitRequest::default()
+        };
+        client
+            .clone()
+            .submit(request)
+            .await
+            .map(tonic::Response::into_inner)
     };
     let digest = put(&good).await.unwrap().digest;
     // What the coordinator fills in makes no other job.
     assert!(submit(digest.clone(), &|_| ()).await.unwrap().existing);
-    refused(submit(vec![9; 32], &|_| ()).await, Code::NotFound, "PutReceivers");
-    refused(submit(vec![9; 3], &|_| ()).await, Code::InvalidArgument, "32");
-    refused(submit(scene.digest().0.to_vec(), &|_| ()).await, Code::InvalidArgument, "do not begin");
+    refused(
+        submit(vec![9; 32], &|_| ()).await,
+        Code::NotFound,
+        "PutReceivers",
+    );
+    refused(
+        submit(vec![9; 3], &|_| ()).await,
+        Code::InvalidArgument,
+        "32",
+    );
+    refused(
+        submit(scene.digest().0.to_vec(), &|_| ()).await,
+        Code::InvalidArgument,
+        "do not begin",
+    );
     // Named without having been checked.
     put_chunk(&dented).await;
     let unchecked = blake3::hash(&dented).as_bytes().to_vec();
-    refused(submit(unchecked, &|_| ()).await, Code::InvalidArgument, "light 0 of the job");
-    refused(submit(digest.clone(), &|s| s.seed = Some(1)).await, Code::InvalidArgument, "leave out");
-    refused(submit(digest.clone(), &|s| s.scene = vec![9; 32]).await, Code::NotFound, "scene");
-    let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1)).encode().unwrap();
+    refused(
+        submit(unchecked, &|_| ()).await,
+        Code::InvalidArgument,
+        "light 0 of the job",
+    );
+    refused(
+        submit(digest.clone(), &|s| s.seed = Some(1)).await,
+        Code::InvalidArgument,
+        "leave out",
+    );
+    refused(
+        submit(digest.clone(), &|s| s.scene = vec![9; 32]).await,
+        Code::NotFound,
+        "scene",
+    );
+    let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1))
+        .encode()
+        .unwrap();
     let beyond = put(&beyond).await.unwrap().digest;
-    refused(submit(beyond, &|_| ()).await, Code::InvalidArgument, "triangle 4294967294");
+    refused(
+        submit(beyond, &|_| ()).await,
+        Code::InvalidArgument,
+        "triangle 4294967294",
+    );
     // Without workers there is nothing to fetch.
     let job = submit(digest, &|_| ()).await.unwrap().job.unwrap();
     let request = v1::ShowRequest { job: job.id };
-    refused(jobs.fetch(request).await.map(drop), Code::FailedPrecondition, "queued");
-    refused(jobs.fetch_partial(request).await.map(drop), Code::FailedPrecondition, "none of the tiles");
+    refused(
+        jobs.fetch(request).await.map(drop),
+        Code::FailedPrecondition,
+        "queued",
+    );
+    refused(
+        jobs.fetch_partial(request).await.map(drop),
+        Code::FailedPrecondition,
+        "none of the tiles",
+    );
 }

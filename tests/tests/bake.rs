@@ -1,7 +1,12 @@
 //! `sightline bake`: interrupted and continued, on every available backend, with the options that change its
 //! behaviour.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use serde_json::Value;
 use sightline_tests::{Dump, Sandbox, assert_same, in_ci, wait_for};
@@ -22,7 +27,9 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
         let again = format!("bake {job} -o {signal}.pvs --data-dir {signal}");
         let bake = sandbox.start(&again);
         // The scene and some finished tiles.
-        wait_for("finished tiles", || (sandbox.files_below(&format!("{signal}/blobs")) > 8).then_some(()));
+        wait_for("finished tiles", || {
+            (sandbox.files_below(&format!("{signal}/blobs")) > 8).then_some(())
+        });
         bake.signal(signal);
         if signal == "INT" {
             bake.end().code(130).says("the same command goes on");
@@ -37,15 +44,28 @@ fn an_interrupted_bake_goes_on_and_gives_the_same_bytes() {
         let mut words = said.split(' ');
         let done: u32 = words.next().unwrap().parse().unwrap();
         let total: u32 = words.nth(1).unwrap().parse().unwrap();
-        assert!(0 < done && done < total, "{done} of {total} tiles were kept");
+        assert!(
+            0 < done && done < total,
+            "{done} of {total} tiles were kept"
+        );
         assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), signal);
 
         // Another run has nothing left to do.
-        let stored = sandbox.run(&format!("{again} --json")).code(0).says("in the store already");
+        let stored = sandbox
+            .run(&format!("{again} --json"))
+            .code(0)
+            .says("in the store already");
         let stored: Value = serde_json::from_str(&stored.out).unwrap();
         assert_eq!(stored["from_store"], true);
-        assert_eq!(stored["samples"], whole["samples"], "no sample is taken twice");
-        assert_same(&sandbox.read(&output), &sandbox.read("whole.pvs"), "from the store");
+        assert_eq!(
+            stored["samples"], whole["samples"],
+            "no sample is taken twice"
+        );
+        assert_same(
+            &sandbox.read(&output),
+            &sandbox.read("whole.pvs"),
+            "from the store",
+        );
     }
     assert_eq!(whole["from_store"], false);
 }
@@ -55,10 +75,15 @@ fn the_number_of_workers_changes_no_byte() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
     for n in [1, 4] {
-        let line = format!("bake maze.glb --cells 3x3x2 --resolution 32 --backend cpu --workers {n}");
+        let line =
+            format!("bake maze.glb --cells 3x3x2 --resolution 32 --backend cpu --workers {n}");
         sandbox.ok(&format!("{line} -o {n}.pvs --data-dir data-{n}"));
     }
-    assert_same(&sandbox.read("1.pvs"), &sandbox.read("4.pvs"), "1 and 4 workers");
+    assert_same(
+        &sandbox.read("1.pvs"),
+        &sandbox.read("4.pvs"),
+        "1 and 4 workers",
+    );
 }
 
 #[test]
@@ -68,22 +93,37 @@ fn adaptive_cells_keep_to_budget_or_depth() {
     let (budget, depth) = (120, 7);
     let division = format!("--triangle-budget {budget} --max-depth {depth}");
     for sampler in ["--sampler lines", "--sampler cubes --resolution 32"] {
-        sandbox
-            .ok(&format!("bake maze.glb {division} {sampler} --backend cpu --data-dir data -o adaptive.pvs"));
+        sandbox.ok(&format!(
+            "bake maze.glb {division} {sampler} --backend cpu --data-dir data -o adaptive.pvs"
+        ));
         keeps_to(&sandbox.dump("adaptive.pvs"), budget, depth);
     }
     // The default sampler, sight lines, gives the same bytes for any number of workers.
     for workers in [1, 4] {
         let options = format!("--backend cpu --workers {workers} --data-dir data-{workers}");
-        sandbox.ok(&format!("bake maze.glb {division} {options} -o {workers}.pvs"));
+        sandbox.ok(&format!(
+            "bake maze.glb {division} {options} -o {workers}.pvs"
+        ));
     }
-    assert_same(&sandbox.read("1.pvs"), &sandbox.read("4.pvs"), "1 and 4 workers");
+    assert_same(
+        &sandbox.read("1.pvs"),
+        &sandbox.read("4.pvs"),
+        "1 and 4 workers",
+    );
     assert!(sandbox.ok("info 1.pvs").contains("only those of a grid"));
-    assert_eq!(sandbox.json("info 1.pvs")["info"]["sampling"]["sampler"], "lines");
+    assert_eq!(
+        sandbox.json("info 1.pvs")["info"]["sampling"]["sampler"],
+        "lines"
+    );
     let measured = sandbox.json("measure maze.glb 1.pvs --viewpoints 20 --seed 3 --resolution 64");
-    assert!(measured["mean_error"].as_f64().unwrap() < 1e-3, "{measured}");
+    assert!(
+        measured["mean_error"].as_f64().unwrap() < 1e-3,
+        "{measured}"
+    );
     sandbox
-        .run(&format!("bake maze.glb {division} --max-error 0.01 -o no.pvs --data-dir data"))
+        .run(&format!(
+            "bake maze.glb {division} --max-error 0.01 -o no.pvs --data-dir data"
+        ))
         .code(2)
         .says("--cells");
 }
@@ -106,7 +146,10 @@ fn keeps_to(dump: &Dump, budget: usize, depth: u32) {
     }
     assert!(halved > 1, "the budget makes no difference here");
     let covered: f64 = dump.cells.iter().map(|cell| cell.volume()).sum();
-    assert!((covered / whole - 1.0).abs() < 1e-4, "the cells cover {covered} of {whole}");
+    assert!(
+        (covered / whole - 1.0).abs() < 1e-4,
+        "the cells cover {covered} of {whole}"
+    );
 }
 
 #[test]
@@ -116,11 +159,17 @@ fn every_error_measure_and_superset_choice_works() {
     for measure in ["sets", "pixels", "strata"] {
         let mut seen = Vec::new();
         for superset in ["on", "off"] {
-            let options = format!("--sampler cubes --error-measure {measure} --superset {superset}");
-            let made = sandbox.json(&format!("bake {QUICK} {options} -o {measure}-{superset}.pvs"));
+            let options =
+                format!("--sampler cubes --error-measure {measure} --superset {superset}");
+            let made = sandbox.json(&format!(
+                "bake {QUICK} {options} -o {measure}-{superset}.pvs"
+            ));
             assert_eq!(made["info"]["sampling"]["measure"], measure);
             assert_eq!(made["info"]["sampling"]["superset"], superset);
-            assert_eq!(made["from_store"], false, "each choice is a bake of its own");
+            assert_eq!(
+                made["from_store"], false,
+                "each choice is a bake of its own"
+            );
             assert!(made["min_visible"].as_u64().unwrap() > 0, "{made}");
             seen.push(sandbox.dump(&format!("{measure}-{superset}.pvs")).cells);
         }
@@ -132,12 +181,25 @@ fn every_error_measure_and_superset_choice_works() {
 fn the_view_box_is_the_one_asked_for() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
-    sandbox.ok(&format!("bake {QUICK} --view-box 0.5,0.25,0.5,1.5,1.25,2.5 -o boxed.pvs"));
-    assert_eq!(sandbox.dump("boxed.pvs").view_box(), [[0.5, 0.25, 0.5], [1.5, 1.25, 2.5]]);
+    sandbox.ok(&format!(
+        "bake {QUICK} --view-box 0.5,0.25,0.5,1.5,1.25,2.5 -o boxed.pvs"
+    ));
+    assert_eq!(
+        sandbox.dump("boxed.pvs").view_box(),
+        [[0.5, 0.25, 0.5], [1.5, 1.25, 2.5]]
+    );
     let far = format!("bake {QUICK} --view-box 1000,1000,1000,1001,1001,1001 -o far.pvs");
     sandbox.run(&far).code(0).says("holds nothing of the scene");
-    for bad in ["0,0,0,0,1,1", "1,1,1,0,0,0", "0,0,0,1,1,inf", "0,0,0,1,nan,1", "0,0,0,1,1"] {
-        sandbox.run(&format!("bake {QUICK} --view-box {bad} -o no.pvs")).code(2);
+    for bad in [
+        "0,0,0,0,1,1",
+        "1,1,1,0,0,0",
+        "0,0,0,1,1,inf",
+        "0,0,0,1,nan,1",
+        "0,0,0,1,1",
+    ] {
+        sandbox
+            .run(&format!("bake {QUICK} --view-box {bad} -o no.pvs"))
+            .code(2);
     }
 }
 
@@ -145,7 +207,11 @@ fn the_view_box_is_the_one_asked_for() {
 fn a_cell_size_gives_the_fewest_cells_with_such_sides() {
     let sandbox = Sandbox::new();
     sandbox.ok(MAZE);
-    let bake = |flags: &str| sandbox.run(&format!("bake maze.glb --data-dir data -o sized.pvs {flags}"));
+    let bake = |flags: &str| {
+        sandbox.run(&format!(
+            "bake maze.glb --data-dir data -o sized.pvs {flags}"
+        ))
+    };
     bake("--view-box 0.5,0.25,0.5,1.5,1.25,2.5 --cell-size 0.6 --target-error 0.1").code(0);
     assert_eq!(sandbox.dump("sized.pvs").cells.len(), 2 * 2 * 4);
     for bad in [
@@ -165,17 +231,32 @@ fn an_output_that_cannot_be_written_is_refused_before_any_work() {
     sandbox.ok(MAZE);
     sandbox.write("notes", "keep me\n");
     for output in ["missing/out.pvs", ".", "notes", "/dev/null", "-"] {
-        sandbox.run(&format!("bake {QUICK} -o {output}")).code(2).says("give -o");
+        sandbox
+            .run(&format!("bake {QUICK} -o {output}"))
+            .code(2)
+            .says("give -o");
     }
     for output in ["maze.glb", "./maze.glb", "out.obj"] {
-        sandbox.run(&format!("bake {QUICK} -o {output}")).code(2).says("its name promises");
+        sandbox
+            .run(&format!("bake {QUICK} -o {output}"))
+            .code(2)
+            .says("its name promises");
     }
     assert!(!sandbox.path("data").exists());
     assert_eq!(sandbox.read("notes"), b"keep me\n");
-    sandbox.run("generate maze -o notes").code(2).says("give -o");
-    sandbox.run("mesh maze.glb -o maze.glb").code(2).says("its name promises");
+    sandbox
+        .run("generate maze -o notes")
+        .code(2)
+        .says("give -o");
+    sandbox
+        .run("mesh maze.glb -o maze.glb")
+        .code(2)
+        .says("its name promises");
     sandbox.ok("mesh maze.glb -o maze.ply");
-    sandbox.run("mesh maze.ply -o maze.ply").code(2).says("the input itself");
+    sandbox
+        .run("mesh maze.ply -o maze.ply")
+        .code(2)
+        .says("the input itself");
 }
 
 #[test]
@@ -184,14 +265,24 @@ fn flags_of_another_sampler_are_named_and_change_nothing() {
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --cells 2x2x1 --backend cpu --data-dir data";
     sandbox.ok(&format!("{bake} -o a.pvs"));
-    let again = sandbox.run(&format!("{bake} --resolution 64 --rays 5 -o b.pvs --json")).code(0);
+    let again = sandbox
+        .run(&format!("{bake} --resolution 64 --rays 5 -o b.pvs --json"))
+        .code(0);
     again.says("makes no use of --rays, --resolution");
-    assert_eq!(sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"], true);
+    assert_eq!(
+        sandbox.json(&format!("{bake} --min-distance 1 -o c.pvs"))["from_store"],
+        true
+    );
     // Invalid values are refused even for flags without effect.
-    sandbox.run(&format!("{bake} --resolution 4 -o d.pvs")).code(2);
+    sandbox
+        .run(&format!("{bake} --resolution 4 -o d.pvs"))
+        .code(2);
     let cubes = format!("{bake} --sampler cubes --resolution 32 -o e.pvs");
     sandbox.ok(&cubes);
-    assert_eq!(sandbox.json(&format!("{cubes} --block-cells 64"))["from_store"], true);
+    assert_eq!(
+        sandbox.json(&format!("{cubes} --block-cells 64"))["from_store"],
+        true
+    );
 }
 
 #[test]
@@ -212,10 +303,20 @@ fn smaller_tiles_let_more_workers_help_and_miss_no_more_than_asked() {
         }
         assert!(sum / 4.0 <= 0.001, "{name}: {}", sum / 4.0);
     }
-    assert_ne!(sandbox.read("whole.pvs"), sandbox.read("cut.pvs"), "lines are shared within a tile only");
+    assert_ne!(
+        sandbox.read("whole.pvs"),
+        sandbox.read("cut.pvs"),
+        "lines are shared within a tile only"
+    );
     make("--block-cells 8 --workers 3 --seed 4", "more");
-    assert_same(&sandbox.read("cut.pvs"), &sandbox.read("more.pvs"), "one worker and three");
-    sandbox.run(&format!("{bake} --block-cells 4097 -o no.pvs")).code(2);
+    assert_same(
+        &sandbox.read("cut.pvs"),
+        &sandbox.read("more.pvs"),
+        "one worker and three",
+    );
+    sandbox
+        .run(&format!("{bake} --block-cells 4097 -o no.pvs"))
+        .code(2);
 }
 
 #[test]
@@ -224,27 +325,51 @@ fn what_a_time_budget_cut_short_is_said() {
     sandbox.ok(MAZE);
     let bake = "bake maze.glb --backend cpu --time-budget 1ms";
     sandbox.ok(&format!("{bake} --data-dir a -o a.pvs"));
-    assert!(sandbox.ok("info a.pvs").contains("NOT FINISHED: 512 of 512 cells: the time budget ended first"));
+    assert!(
+        sandbox
+            .ok("info a.pvs")
+            .contains("NOT FINISHED: 512 of 512 cells: the time budget ended first")
+    );
     sandbox.ok(&format!("{bake} --max-error 0.01 --data-dir b -o b.pvs"));
-    assert!(sandbox.ok("info b.pvs").contains("was not reached in any cell"));
+    assert!(
+        sandbox
+            .ok("info b.pvs")
+            .contains("was not reached in any cell")
+    );
     sandbox.ok(&format!("{bake} --sampler guided --data-dir d -o d.pvs"));
-    assert!(sandbox.ok("info d.pvs").contains("NOT FINISHED: 512 of 512"));
+    assert!(
+        sandbox
+            .ok("info d.pvs")
+            .contains("NOT FINISHED: 512 of 512")
+    );
     // Cells that reach the target error count as finished, even if the bound asked for more lines.
     sandbox
         .ok("bake maze.glb --backend cpu --cells 2x2x2 --target-error 0.0003 --max-error 0.01 --data-dir \
         e -o e.pvs");
     assert!(!sandbox.ok("info e.pvs").contains("NOT FINISHED"));
-    sandbox.run("bake maze.glb --max-error 2 -o f.pvs").code(2).says("max-error is 2");
-    sandbox.ok("bake maze.glb --backend cpu --target-error 0.03 --cells 2x2x2 --data-dir c -o c.pvs");
+    sandbox
+        .run("bake maze.glb --max-error 2 -o f.pvs")
+        .code(2)
+        .says("max-error is 2");
+    sandbox
+        .ok("bake maze.glb --backend cpu --target-error 0.03 --cells 2x2x2 --data-dir c -o c.pvs");
     assert!(!sandbox.ok("info c.pvs").contains("NOT FINISHED"));
 }
 
 #[test]
 fn a_flat_scene_needs_a_view_box() {
     let sandbox = Sandbox::new();
-    sandbox.write("flat.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n");
-    let bake = "bake flat.obj --cells 1x1x1 --resolution 32 --backend cpu --data-dir data -o flat.pvs";
-    sandbox.run(bake).code(3).says("flat along z").says("--view-box x0");
+    sandbox.write(
+        "flat.obj",
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n",
+    );
+    let bake =
+        "bake flat.obj --cells 1x1x1 --resolution 32 --backend cpu --data-dir data -o flat.pvs";
+    sandbox
+        .run(bake)
+        .code(3)
+        .says("flat along z")
+        .says("--view-box x0");
     sandbox.ok(&format!("{bake} --view-box 0,0,1,1,1,2"));
     assert_eq!(sandbox.dump("flat.pvs").cells[0].visible, [0, 1]);
 }
@@ -261,7 +386,13 @@ fn the_gpu_backend_bakes_where_there_is_vulkan() {
         return;
     }
     let made: Value = serde_json::from_str(&run.code(0).out).unwrap();
-    assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
+    assert!(
+        made["info"]["profile"]
+            .as_str()
+            .unwrap()
+            .starts_with("gpu/"),
+        "{made}"
+    );
     let first = sandbox.read("gpu.pvs");
     sandbox.ok(&format!("{job} --data-dir other"));
     assert_same(&sandbox.read("gpu.pvs"), &first, "two bakes on one adapter");
@@ -276,8 +407,14 @@ fn the_backend_that_is_taken_unasked_bakes_as_when_it_is_named() {
     let profile = made["info"]["profile"].as_str().unwrap();
     let named = profile.split('/').next().unwrap();
     assert!(["cpu", "gpu"].contains(&named), "{profile}");
-    sandbox.ok(&format!("{job} --backend {named} --data-dir named -o named.pvs"));
-    assert_same(&sandbox.read("unasked.pvs"), &sandbox.read("named.pvs"), profile);
+    sandbox.ok(&format!(
+        "{job} --backend {named} --data-dir named -o named.pvs"
+    ));
+    assert_same(
+        &sandbox.read("unasked.pvs"),
+        &sandbox.read("named.pvs"),
+        profile,
+    );
 }
 
 #[cfg(target_os = "linux")]
@@ -287,7 +424,12 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
     sandbox.ok(MAZE);
     // The loader finds these files first and cannot load them, as if Embree were missing.
     std::fs::create_dir(sandbox.path("hidden")).unwrap();
-    for name in ["libembree4.so.4", "libembree3.so.3", "libembree4.so", "libembree3.so"] {
+    for name in [
+        "libembree4.so.4",
+        "libembree3.so.3",
+        "libembree4.so",
+        "libembree3.so",
+    ] {
         sandbox.write(&format!("hidden/{name}"), "not a library");
     }
     sandbox.set("LD_LIBRARY_PATH", sandbox.path("hidden"));
@@ -303,9 +445,19 @@ fn without_embree_the_gpu_is_taken_and_the_reason_told() {
         eprintln!("skipped: there is no Vulkan here");
         return;
     }
-    let made: Value =
-        serde_json::from_str(&run.code(0).says("note: cpu backend: Embree is not installed").out).unwrap();
-    assert!(made["info"]["profile"].as_str().unwrap().starts_with("gpu/"), "{made}");
+    let made: Value = serde_json::from_str(
+        &run.code(0)
+            .says("note: cpu backend: Embree is not installed")
+            .out,
+    )
+    .unwrap();
+    assert!(
+        made["info"]["profile"]
+            .as_str()
+            .unwrap()
+            .starts_with("gpu/"),
+        "{made}"
+    );
 }
 
 /// Sight lines cross cells, and different workers bake different blocks: one worker gives the same bytes as
@@ -318,10 +470,16 @@ fn sight_lines_give_the_same_bytes_however_they_are_traced() {
     let one = sandbox.json(&format!("bake {job} -o one.pvs --data-dir one --workers 1"));
     assert_eq!(one["cells_bounded"], 768, "{one}");
     assert!(one["greatest_bound"].as_f64().unwrap() <= 0.003, "{one}");
-    let bake = sandbox.start(&format!("bake {job} -o three.pvs --data-dir three --workers 3"));
-    wait_for("work under way", || (sandbox.files_below("three/blobs") > 0).then_some(()));
+    let bake = sandbox.start(&format!(
+        "bake {job} -o three.pvs --data-dir three --workers 3"
+    ));
+    wait_for("work under way", || {
+        (sandbox.files_below("three/blobs") > 0).then_some(())
+    });
     bake.kill();
-    sandbox.ok(&format!("bake {job} -o three.pvs --data-dir three --workers 3"));
+    sandbox.ok(&format!(
+        "bake {job} -o three.pvs --data-dir three --workers 3"
+    ));
     assert_same(
         &sandbox.read("one.pvs"),
         &sandbox.read("three.pvs"),
@@ -349,12 +507,16 @@ fn a_time_budget_ends_with_a_result() {
     // Without the budget this takes minutes. The limit leaves time for slow machines.
     assert!(start.elapsed() < std::time::Duration::from_secs(30));
     assert!(made["min_visible"].as_u64().unwrap() > 0, "{made}");
-    sandbox.run("bake rooms.glb --time-budget 0s -o no.pvs --data-dir data").code(2);
+    sandbox
+        .run("bake rooms.glb --time-budget 0s -o no.pvs --data-dir data")
+        .code(2);
     sandbox
         .run("bake rooms.glb --sampler cubes --max-error 0.1 -o no.pvs --data-dir data")
         .code(2)
         .says("--sampler lines");
-    sandbox.run("bake rooms.glb --sampler cubes --time-budget 1s -o no.pvs --data-dir data").code(2);
+    sandbox
+        .run("bake rooms.glb --sampler cubes --time-budget 1s -o no.pvs --data-dir data")
+        .code(2);
     sandbox
         .run("bake rooms.glb --triangle-budget 9 --sampler guided -o no.pvs --data-dir data")
         .code(2)

@@ -1,7 +1,12 @@
 //! A coordinator whose wall clock steps between two runs.
 
 #![cfg(target_os = "linux")]
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::path::PathBuf;
 
@@ -10,8 +15,12 @@ use sightline_tests::{Sandbox, in_ci, wait_for};
 /// Returns the library of Debian's package `faketime`, or `None`, after a line with the reason, where it
 /// is absent. On CI that is a failure.
 fn faketime() -> Option<PathBuf> {
-    let folders = std::fs::read_dir("/usr/lib").unwrap().map(|entry| entry.unwrap().path());
-    let found = folders.map(|f| f.join("faketime/libfaketimeMT.so.1")).find(|library| library.is_file());
+    let folders = std::fs::read_dir("/usr/lib")
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let found = folders
+        .map(|f| f.join("faketime/libfaketimeMT.so.1"))
+        .find(|library| library.is_file());
     if found.is_none() {
         assert!(
             !in_ci(),
@@ -45,9 +54,19 @@ fn result_survives(step: &str, event: &str) {
     sandbox.set("DONT_FAKE_MONOTONIC", "1");
     sandbox.set("FAKETIME_DONT_FAKE_MONOTONIC", "1");
     let coordinator = sandbox.serve("data", arguments);
-    let passed = || coordinator.process.err().contains("retention has finished").then_some(());
+    let passed = || {
+        coordinator
+            .process
+            .err()
+            .contains("retention has finished")
+            .then_some(())
+    };
     wait_for("the pass of retention", passed);
-    assert!(coordinator.process.err().contains(event), "{}", coordinator.process.err());
+    assert!(
+        coordinator.process.err().contains(event),
+        "{}",
+        coordinator.process.err()
+    );
     assert!(!coordinator.finish(job).is_empty());
 }
 

@@ -31,13 +31,18 @@ fn alone() -> &'static [u8] {
 }
 
 fn number(job: &Value, key: &str) -> u64 {
-    job[key].as_u64().unwrap_or_else(|| panic!("no number '{key}' in {job}"))
+    job[key]
+        .as_u64()
+        .unwrap_or_else(|| panic!("no number '{key}' in {job}"))
 }
 
 /// Whether a job has both done tiles and leased tiles.
 fn in_the_middle(job: &Value) -> bool {
     let (done, total) = (number(job, "tiles_done"), number(job, "tiles_total"));
-    assert!(done < total, "the job was over before it could be disturbed; make it larger: {job}");
+    assert!(
+        done < total,
+        "the job was over before it could be disturbed; make it larger: {job}"
+    );
     done > 0 && number(job, "tiles_running") > 0
 }
 
@@ -48,7 +53,11 @@ fn any_number_of_workers_gives_the_bytes_of_one_process() {
         let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
         let job = coordinator.submit(JOB);
         let _workers: Vec<_> = (0..workers).map(|_| coordinator.worker()).collect();
-        assert_same(&coordinator.finish(job), alone(), &format!("{workers} workers"));
+        assert_same(
+            &coordinator.finish(job),
+            alone(),
+            &format!("{workers} workers"),
+        );
         let shown = coordinator.json(&format!("show {job}"));
         assert_eq!(shown["state"], "done");
         assert_eq!(shown["tiles_set_aside"], 0);
@@ -70,10 +79,17 @@ fn a_killed_worker_changes_no_byte() {
     assert_eq!(after["state"], "running");
     assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"));
     let _heir = coordinator.worker();
-    assert_same(&coordinator.finish(job), alone(), "after a worker was killed");
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after a worker was killed",
+    );
     // The tiles are taken back at once, not when the leases expire.
     let log = coordinator.process.err();
-    assert!(log.contains("is taken back: its worker has gone and did not come back"), "{log}");
+    assert!(
+        log.contains("is taken back: its worker has gone and did not come back"),
+        "{log}"
+    );
 }
 
 /// Slivers, duplicates, triangles without area, coplanar overlaps, T-junctions, coordinates of 1e-6 beside
@@ -92,7 +108,11 @@ fn ugly() -> String {
         // Spread without a pattern, the same every time.
         let at = |k: u32| f64::from((i * 7919 + k * 104_729) % 1000) / 10.0;
         let [x, y, z] = [at(1), at(2), at(3)];
-        let wall = [[x, y, z], [x + at(4) / 5.0, y, z + 3.0], [x, y + 12.0, z + at(5) / 9.0]];
+        let wall = [
+            [x, y, z],
+            [x + at(4) / 5.0, y, z + 3.0],
+            [x, y + 12.0, z + at(5) / 9.0],
+        ];
         put(wall);
         match i % 5 {
             0 => put(wall),
@@ -109,7 +129,8 @@ fn ugly() -> String {
 /// The default sampler, whose tiles are blocks of cells, on a scene full of degenerate geometry.
 #[test]
 fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
-    const LINES: &str = "ugly.obj --cells 8x8x8 --view-box 0,0,0,100,100,100 --block-cells 8 --backend cpu";
+    const LINES: &str =
+        "ugly.obj --cells 8x8x8 --view-box 0,0,0,100,100,100 --block-cells 8 --backend cpu";
     let sandbox = Sandbox::new();
     sandbox.write("ugly.obj", ugly());
     sandbox.ok(&format!("bake {LINES} --data-dir alone -o alone.pvs"));
@@ -120,7 +141,11 @@ fn a_killed_worker_changes_no_byte_of_an_ugly_scenes_sight_lines() {
     assert_eq!(number(&before, "tiles_total"), 64);
     victim.kill();
     let _heirs = [coordinator.worker(), coordinator.worker()];
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after a worker was killed",
+    );
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
     let dump = sandbox.dump("alone.pvs");
     assert!(
@@ -139,14 +164,27 @@ fn a_killed_coordinator_goes_on_where_it_was() {
     let watcher = coordinator.start(&format!("watch {job}"));
     let before = coordinator.until(job, "the job's middle", in_the_middle);
     coordinator.process.kill();
-    assert!(workers.iter_mut().all(|w| w.runs()), "workers outlive their coordinator");
+    assert!(
+        workers.iter_mut().all(|w| w.runs()),
+        "workers outlive their coordinator"
+    );
 
     let coordinator = sandbox.coordinator("data", &address);
     let after = coordinator.json(&format!("show {job}"));
     // Tiles shown as done had been acknowledged.
-    assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"), "{before} then {after}");
-    assert_same(&coordinator.finish(job), alone(), "after the coordinator was killed");
-    assert!(workers.iter_mut().all(|w| w.runs()), "the same workers finished it");
+    assert!(
+        number(&after, "tiles_done") >= number(&before, "tiles_done"),
+        "{before} then {after}"
+    );
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after the coordinator was killed",
+    );
+    assert!(
+        workers.iter_mut().all(|w| w.runs()),
+        "the same workers finished it"
+    );
     watcher.end().code(0).says("connecting again");
     assert_eq!(coordinator.count(job, "workers"), 2);
 }
@@ -161,10 +199,16 @@ fn a_worker_asked_to_end_finishes_its_tile_and_gives_back_the_next() {
     worker.signal("TERM");
     worker.end().code(0).says("finishing");
     let after = coordinator.json(&format!("show {job}"));
-    assert!(number(&after, "tiles_done") >= number(&before, "tiles_done"), "{before} then {after}");
+    assert!(
+        number(&after, "tiles_done") >= number(&before, "tiles_done"),
+        "{before} then {after}"
+    );
     // It was the only worker, so no tile is leased, and the job waits for no lease to expire.
     assert_eq!(number(&after, "tiles_running"), 0, "{after}");
-    assert!(number(&after, "tiles_done") < number(&after, "tiles_total"), "it took more tiles: {after}");
+    assert!(
+        number(&after, "tiles_done") < number(&after, "tiles_total"),
+        "it took more tiles: {after}"
+    );
     let _heir = coordinator.worker();
     assert_same(&coordinator.finish(job), alone(), "after a worker drained");
 }
@@ -175,9 +219,12 @@ fn a_worker_that_comes_late_takes_what_waits_in_anothers_hands() {
     sandbox.ok("generate rooms --triangles 19000 -o rooms.glb");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     // Two tiles of some seconds each.
-    let job = coordinator.submit("rooms.glb --method exact --cells 4x4x4 --block-cells 32 --backend cpu");
+    let job =
+        coordinator.submit("rooms.glb --method exact --cells 4x4x4 --block-cells 32 --backend cpu");
     let _first = coordinator.worker();
-    coordinator.until(job, "both tiles in one worker's hands", |job| number(job, "tiles_running") == 2);
+    coordinator.until(job, "both tiles in one worker's hands", |job| {
+        number(job, "tiles_running") == 2
+    });
     let _second = coordinator.worker();
     coordinator.until(job, "the waiting tile in the other's", |_| {
         coordinator.process.err().contains("goes to an idle worker")
@@ -191,35 +238,60 @@ fn submitting_again_gives_the_job_there_is() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let first = coordinator.submit(&format!("{JOB} --request-id one --name first"));
-    assert_eq!(coordinator.submit(&format!("{JOB} --request-id one --name first")), first);
+    assert_eq!(
+        coordinator.submit(&format!("{JOB} --request-id one --name first")),
+        first
+    );
     // Another request for the same job, under another name.
-    let again = coordinator.run(&format!("submit {JOB} --request-id two --name second")).code(0);
+    let again = coordinator
+        .run(&format!("submit {JOB} --request-id two --name second"))
+        .code(0);
     assert_eq!(again.out.trim(), first.to_string());
     again.says("does this already");
     // The same request id for another job is an error.
-    coordinator.run(&format!("submit {JOB} --seed 7 --request-id one")).code(3).says("request");
+    coordinator
+        .run(&format!("submit {JOB} --seed 7 --request-id one"))
+        .code(3)
+        .says("request");
     let other = coordinator.submit(&format!("{JOB} --seed 7"));
     assert_ne!(other, first);
 
     let jobs = coordinator.json("jobs");
-    let listed: Vec<u64> = jobs.as_array().unwrap().iter().map(|j| number(j, "job")).collect();
+    let listed: Vec<u64> = jobs
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|j| number(j, "job"))
+        .collect();
     assert_eq!(listed, [first, other]);
     for job in jobs.as_array().unwrap() {
         assert_eq!(job["state"], "queued");
-        assert_eq!(number(job, "tiles_done") + number(job, "tiles_running") + number(job, "samples"), 0);
+        assert_eq!(
+            number(job, "tiles_done") + number(job, "tiles_running") + number(job, "samples"),
+            0
+        );
         assert_eq!(number(job, "cells_total"), 32);
         assert_eq!(job["scene"].as_str().unwrap().len(), 64);
         let mut shown = coordinator.json(&format!("show {}", job["job"]));
-        assert!(shown.as_object_mut().unwrap().remove("spec").is_some(), "only show has the specification");
+        assert!(
+            shown.as_object_mut().unwrap().remove("spec").is_some(),
+            "only show has the specification"
+        );
         assert_eq!(job, &shown, "show and jobs agree");
     }
     assert_eq!(jobs[0]["name"], "first");
-    assert!(coordinator.ok("jobs").contains("NO WORKERS"), "a queue nobody works on is pointed out");
+    assert!(
+        coordinator.ok("jobs").contains("NO WORKERS"),
+        "a queue nobody works on is pointed out"
+    );
     coordinator.run("show 99").code(4).says("99");
 
     // A cancelled job is no answer to a new request.
     coordinator.ok(&format!("cancel {first}"));
-    assert_ne!(coordinator.submit(&format!("{JOB} --request-id three")), first);
+    assert_ne!(
+        coordinator.submit(&format!("{JOB} --request-id three")),
+        first
+    );
 }
 
 #[test]
@@ -229,7 +301,11 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     let job = coordinator.submit(JOB);
     let state = |line: &str| coordinator.json(&format!("{line} {job}"))["state"].clone();
     // A command that changes nothing is no error.
-    for (turn, then) in [("pause", "paused"), ("resume", "queued"), ("retry", "queued")] {
+    for (turn, then) in [
+        ("pause", "paused"),
+        ("resume", "queued"),
+        ("retry", "queued"),
+    ] {
         assert_eq!(state(turn), then);
         assert_eq!(state(turn), then);
     }
@@ -238,22 +314,45 @@ fn jobs_can_be_paused_resumed_cancelled_and_retried() {
     coordinator.until(job, "the job's middle", in_the_middle);
     assert_eq!(state("pause"), "paused");
     let paused = coordinator.json(&format!("show {job}"));
-    assert_eq!(number(&paused, "tiles_running"), 0, "a paused job's tiles are taken back");
-    coordinator.run(&format!("fetch {job} -o early.pvs")).code(4).says("not ended");
+    assert_eq!(
+        number(&paused, "tiles_running"),
+        0,
+        "a paused job's tiles are taken back"
+    );
+    coordinator
+        .run(&format!("fetch {job} -o early.pvs"))
+        .code(4)
+        .says("not ended");
     assert!(!sandbox.path("early.pvs").exists());
 
     let watcher = coordinator.start(&format!("watch {job}"));
     assert_eq!(state("cancel"), "cancelled");
     watcher.end().code(5).says("retry");
-    coordinator.run(&format!("fetch {job} -o early.pvs")).code(5).says("retry");
+    coordinator
+        .run(&format!("fetch {job} -o early.pvs"))
+        .code(5)
+        .says("retry");
     assert_eq!(state("cancel"), "cancelled");
-    coordinator.run(&format!("pause {job}")).code(4).says("cannot be paused");
+    coordinator
+        .run(&format!("pause {job}"))
+        .code(4)
+        .says("cannot be paused");
 
     let kept = coordinator.json(&format!("retry {job}"));
-    assert!(number(&kept, "tiles_done") >= number(&paused, "tiles_done"), "{paused} then {kept}");
-    assert_same(&coordinator.finish(job), alone(), "after pause, cancel and retry");
+    assert!(
+        number(&kept, "tiles_done") >= number(&paused, "tiles_done"),
+        "{paused} then {kept}"
+    );
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after pause, cancel and retry",
+    );
     for turn in ["pause", "resume", "cancel"] {
-        coordinator.run(&format!("{turn} {job}")).code(4).says("so it cannot be");
+        coordinator
+            .run(&format!("{turn} {job}"))
+            .code(4)
+            .says("so it cannot be");
     }
     assert_eq!(state("retry"), "done", "nothing is left to be tried again");
     assert_same(&coordinator.finish(job), alone(), "after all of that");
@@ -278,7 +377,11 @@ fn a_finished_job_outlives_its_coordinator() {
     let mut after = coordinator.json(&format!("show {job}"));
     after["workers"] = before["workers"].clone();
     assert_eq!(after, before);
-    assert_same(&coordinator.finish(job), alone(), "fetched from the next coordinator");
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "fetched from the next coordinator",
+    );
     // The same submission is answered with the stored job.
     assert_eq!(coordinator.submit(JOB), job);
 }
@@ -292,7 +395,10 @@ fn plain_text_stays_on_this_machine_unless_said_otherwise() {
     }
     let allowed = sandbox.start("coordinator --data-dir data --listen 0.0.0.0:0 --allow-plaintext");
     wait_for("a coordinator on all addresses", || {
-        allowed.out().contains("listening on http://0.0.0.0:").then_some(())
+        allowed
+            .out()
+            .contains("listening on http://0.0.0.0:")
+            .then_some(())
     });
 }
 
@@ -300,7 +406,10 @@ fn plain_text_stays_on_this_machine_unless_said_otherwise() {
 fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
     let sandbox = sandbox();
     // The port was bound and closed again, so no coordinator listens on it.
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = std::net::TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
     let nobody = format!("--coordinator http://{free}");
     let commands = [
         "health".to_owned(),
@@ -311,12 +420,18 @@ fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
         format!("submit {JOB}"),
     ];
     for command in commands {
-        sandbox.run(&format!("{command} {nobody}")).code(4).says("sightline coordinator");
+        sandbox
+            .run(&format!("{command} {nobody}"))
+            .code(4)
+            .says("sightline coordinator");
     }
     let gave_up = sandbox.run(&format!("worker --backend cpu --give-up-after 1 {nobody}"));
     gave_up.code(4).says("sightline coordinator");
     for command in ["health", "worker --backend cpu --give-up-after 1"] {
-        sandbox.run(&format!("{command} --coordinator nonsense:x:y")).code(2).says("http://");
+        sandbox
+            .run(&format!("{command} --coordinator nonsense:x:y"))
+            .code(2)
+            .says("http://");
     }
 }
 
@@ -324,12 +439,21 @@ fn a_coordinator_that_is_not_there_is_said_to_be_missing() {
 fn a_data_folder_has_one_coordinator() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    let second = sandbox.run("coordinator --listen 127.0.0.1:0 --data-dir data").code(3).says("data");
+    let second = sandbox
+        .run("coordinator --listen 127.0.0.1:0 --data-dir data")
+        .code(3)
+        .says("data");
     assert!(!second.out.contains("listening"), "{}", second.out);
-    sandbox.run(&format!("bake {JOB} -o no.pvs --data-dir data")).code(3).says("--data-dir");
+    sandbox
+        .run(&format!("bake {JOB} -o no.pvs --data-dir data"))
+        .code(3)
+        .says("--data-dir");
     assert_eq!(coordinator.ok("health").trim(), "serving");
     // The port is taken, too.
-    let taken = sandbox.run(&format!("coordinator --listen {} --data-dir other", coordinator.address()));
+    let taken = sandbox.run(&format!(
+        "coordinator --listen {} --data-dir other",
+        coordinator.address()
+    ));
     taken.code(2).says("another coordinator");
 }
 
@@ -356,19 +480,37 @@ fn scene_is_uploaded_again(says: &str, lose: impl FnOnce(&std::path::Path)) {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let first = coordinator.submit(JOB);
-    let digest = coordinator.json(&format!("show {first}"))["scene"].as_str().unwrap().to_owned();
+    let digest = coordinator.json(&format!("show {first}"))["scene"]
+        .as_str()
+        .unwrap()
+        .to_owned();
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
     lose(&sandbox.path(&blob));
     // The job waits, and says for what.
     let _worker = coordinator.worker();
     let paused = coordinator.until(first, "a pause", |job| job["state"] == "paused");
-    assert!(paused["reason"].as_str().unwrap().contains("send it again"), "{paused}");
-    assert!(coordinator.ok(&format!("logs {first}")).contains("send the scene again"));
+    assert!(
+        paused["reason"].as_str().unwrap().contains("send it again"),
+        "{paused}"
+    );
+    assert!(
+        coordinator
+            .ok(&format!("logs {first}"))
+            .contains("send the scene again")
+    );
     // The next submission of the scene replaces the blob, and the waiting job continues.
     assert_eq!(coordinator.submit(JOB), first);
-    assert_same(&coordinator.finish(first), alone(), "after the scene was lost");
+    assert_same(
+        &coordinator.finish(first),
+        alone(),
+        "after the scene was lost",
+    );
     assert_eq!(coordinator.json(&format!("show {first}"))["reason"], "");
-    assert!(coordinator.process.err().contains(says), "{}", coordinator.process.err());
+    assert!(
+        coordinator.process.err().contains(says),
+        "{}",
+        coordinator.process.err()
+    );
 }
 
 /// Removes all packs from a coordinator's blobs; returns their number.
@@ -394,11 +536,17 @@ fn lost_packs_are_computed_again() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let worker = coordinator.worker();
-    coordinator.until(job, "the faces and some separators", |j| number(j, "tiles_done") >= 8);
+    coordinator.until(job, "the faces and some separators", |j| {
+        number(j, "tiles_done") >= 8
+    });
     worker.signal("TERM");
     worker.end().code(0);
     assert!(lose_packs(&sandbox.path("data/blobs")) >= 7);
     let heir = coordinator.worker();
-    assert_same(&coordinator.finish(job), alone(), "after the packs were lost");
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after the packs were lost",
+    );
     heir.kill();
 }

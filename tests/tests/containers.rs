@@ -50,7 +50,9 @@ fn cluster() -> Option<(MutexGuard<'static, ()>, Compose)> {
 
 #[test]
 fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
-    let Some((_turn, compose)) = cluster() else { return };
+    let Some((_turn, compose)) = cluster() else {
+        return;
+    };
     let sightline = program();
 
     let folder = tempfile::tempdir().unwrap();
@@ -58,9 +60,26 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
     let triangles = setting("SIGHTLINE_TEST_TRIANGLES", DEFAULT_TRIANGLES);
     let cells = setting("SIGHTLINE_TEST_CELLS", DEFAULT_CELLS);
     // Every parameter is part of the job's key, so both bakes need the same flags.
-    let job_flags = ["--cells", &cells, "--sampler", "cubes", "--backend", "cpu", "--resolution", "192"];
+    let job_flags = [
+        "--cells",
+        &cells,
+        "--sampler",
+        "cubes",
+        "--backend",
+        "cpu",
+        "--resolution",
+        "192",
+    ];
     run(Command::new(sightline)
-        .args(["generate", "town", "--seed", "1", "--triangles", &triangles, "-o"])
+        .args([
+            "generate",
+            "town",
+            "--seed",
+            "1",
+            "--triangles",
+            &triangles,
+            "-o",
+        ])
         .arg(&scene));
 
     let alone = folder.path().join("alone.pvs");
@@ -77,9 +96,15 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
 
     compose.up(2);
     let url = format!("http://127.0.0.1:{}", compose.port);
-    let client = |args: &[&str]| run(Command::new(sightline).args(args).args(["--coordinator", &url]));
+    let client = |args: &[&str]| {
+        run(Command::new(sightline)
+            .args(args)
+            .args(["--coordinator", &url]))
+    };
     // The engine accepts connections before the program in the container listens.
-    wait_until("the coordinator answers", || coordinator_answers(&url).then_some(()));
+    wait_until("the coordinator answers", || {
+        coordinator_answers(&url).then_some(())
+    });
 
     let started = Instant::now();
     let mut submit = vec!["submit", scene.to_str().unwrap(), "--name", "town"];
@@ -102,16 +127,25 @@ fn containers_bake_the_same_bytes_although_a_worker_is_killed() {
             now.done < now.total,
             "the job was over before three workers were at it ({now:?}); {SIZE_IT_UP}"
         );
-        assert!(started.elapsed() < LIMIT, "three workers never were at work on a job begun: {now:?}");
+        assert!(
+            started.elapsed() < LIMIT,
+            "three workers never were at work on a job begun: {now:?}"
+        );
         sleep(Duration::from_millis(100));
     };
     docker(&["kill", "--signal", "KILL", &first_workers[0]]);
     let after = progress();
     eprintln!("killed a worker between {before:?} and {after:?}");
-    assert!(after.done < after.total, "the job was over before the worker died ({after:?}); {SIZE_IT_UP}");
+    assert!(
+        after.done < after.total,
+        "the job was over before the worker died ({after:?}); {SIZE_IT_UP}"
+    );
 
     client(&["watch", &job]);
-    eprintln!("three workers, one killed: {:.1} s", started.elapsed().as_secs_f64());
+    eprintln!(
+        "three workers, one killed: {:.1} s",
+        started.elapsed().as_secs_f64()
+    );
     let end = progress();
     assert_eq!(
         (end.done, end.set_aside),
@@ -140,13 +174,26 @@ fn wait_until<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
 
 #[test]
 fn containers_share_one_block_through_every_fault() {
-    let Some((_turn, compose)) = cluster() else { return };
+    let Some((_turn, compose)) = cluster() else {
+        return;
+    };
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("town.glb");
-    run(Command::new(program()).args(["generate", "town", "--triangles", "20000", "-o"]).arg(&scene));
+    run(Command::new(program())
+        .args(["generate", "town", "--triangles", "20000", "-o"])
+        .arg(&scene));
     let alone = folder.path().join("alone.pvs");
     let job_flags = ERRORS
-        .map(|error| ["--cells", "8x8x8", "--backend", "cpu", "--target-error", error])
+        .map(|error| {
+            [
+                "--cells",
+                "8x8x8",
+                "--backend",
+                "cpu",
+                "--target-error",
+                error,
+            ]
+        })
         .into_iter()
         .enumerate()
         .find(|(attempt, flags)| {
@@ -168,32 +215,56 @@ fn containers_share_one_block_through_every_fault() {
 
     compose.up(2);
     let url = format!("http://127.0.0.1:{}", compose.port);
-    let client = |args: &[&str]| run(Command::new(program()).args(args).args(["--coordinator", &url]));
+    let client = |args: &[&str]| {
+        run(Command::new(program())
+            .args(args)
+            .args(["--coordinator", &url]))
+    };
     let mut submit = vec!["submit", scene.to_str().unwrap()];
     submit.extend(job_flags);
     let started = Instant::now();
     let job = client(&submit).trim().to_owned();
     let still_runs = |what: &str| {
         let now = Progress::parse(&client(&["show", &job, "--json"]));
-        assert_eq!((now.done, now.total), (0, 1), "the job was over before {what}; LASTING has to be longer");
+        assert_eq!(
+            (now.done, now.total),
+            (0, 1),
+            "the job was over before {what}; LASTING has to be longer"
+        );
     };
     let has_said = |worker: &String, what: &str| logged(worker).contains(what);
     let helps = |worker: &String| has_said(worker, "helps with tile 0");
 
     // The second worker helps the first one; then there are four.
     let first = compose.workers();
-    let helper = wait_until("the second worker helps", || first.iter().find(|w| helps(w)).cloned());
+    let helper = wait_until("the second worker helps", || {
+        first.iter().find(|w| helps(w)).cloned()
+    });
     let leader = first.iter().find(|w| **w != helper).unwrap().clone();
     compose.up(4);
-    let late: Vec<String> = compose.workers().into_iter().filter(|w| !first.contains(w)).collect();
-    wait_until("two more workers help", || late.iter().all(helps).then_some(()));
+    let late: Vec<String> = compose
+        .workers()
+        .into_iter()
+        .filter(|w| !first.contains(w))
+        .collect();
+    wait_until("two more workers help", || {
+        late.iter().all(helps).then_some(())
+    });
     still_runs("four workers were at it");
 
     // The leader stands still for longer than its lease lives; another worker goes on.
     docker(&["pause", &leader]);
-    let others: Vec<String> = compose.workers().into_iter().filter(|w| *w != leader).collect();
-    let next =
-        wait_until("another worker leads", || others.iter().find(|w| has_said(w, "goes on after")).cloned());
+    let others: Vec<String> = compose
+        .workers()
+        .into_iter()
+        .filter(|w| *w != leader)
+        .collect();
+    let next = wait_until("another worker leads", || {
+        others
+            .iter()
+            .find(|w| has_said(w, "goes on after"))
+            .cloned()
+    });
     docker(&["unpause", &leader]);
     still_runs("its second leader began");
 
@@ -223,14 +294,20 @@ fn containers_share_one_block_through_every_fault() {
 
 /// Whether the coordinator at this address is up, which may just be starting.
 fn coordinator_answers(url: &str) -> bool {
-    let health = Command::new(program()).args(["health", "--coordinator", url]).output().unwrap();
+    let health = Command::new(program())
+        .args(["health", "--coordinator", url])
+        .output()
+        .unwrap();
     health.status.success()
 }
 
 /// Panics unless both results have the same bytes, and the same profile.
 fn assert_same_bytes(alone: &Path, together: &Path) {
     let profiles = [alone, together].map(profile);
-    eprintln!("one process on {}, the cluster on {}", profiles[0], profiles[1]);
+    eprintln!(
+        "one process on {}, the cluster on {}",
+        profiles[0], profiles[1]
+    );
     assert_eq!(
         profiles[0], profiles[1],
         "host and image hold different versions of Embree; make the image of the host's release"
@@ -254,7 +331,11 @@ impl Progress {
     fn parse(json: &str) -> Self {
         let shown: serde_json::Value =
             serde_json::from_str(json).unwrap_or_else(|error| panic!("{error} in {json}"));
-        let count = |key: &str| shown[key].as_u64().unwrap_or_else(|| panic!("no count '{key}' in {json}"));
+        let count = |key: &str| {
+            shown[key]
+                .as_u64()
+                .unwrap_or_else(|| panic!("no count '{key}' in {json}"))
+        };
         Self {
             done: count("tiles_done"),
             total: count("tiles_total"),
@@ -267,9 +348,15 @@ impl Progress {
 
 /// Numerics profile a result was computed on, as `sightline info` names it.
 fn profile(result: &Path) -> String {
-    let info = run(Command::new(program()).arg("info").arg(result).arg("--json"));
+    let info = run(Command::new(program())
+        .arg("info")
+        .arg(result)
+        .arg("--json"));
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
-    info["info"]["profile"].as_str().unwrap_or_else(|| panic!("no profile in {info}")).to_owned()
+    info["info"]["profile"]
+        .as_str()
+        .unwrap_or_else(|| panic!("no profile in {info}"))
+        .to_owned()
 }
 
 fn setting(name: &str, default: &str) -> String {

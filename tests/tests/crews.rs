@@ -29,12 +29,18 @@ fn alone() -> &'static [u8] {
 
 /// Whether the outcome of a phase is on the disk as a whole: its length, a hash and the bytes.
 fn has_outcome(sandbox: &Sandbox) -> bool {
-    let Ok(files) = std::fs::read_dir(sandbox.path("data/crews")) else { return false };
+    let Ok(files) = std::fs::read_dir(sandbox.path("data/crews")) else {
+        return false;
+    };
     let is_whole = |bytes: Vec<u8>| {
-        let length = bytes.first_chunk().map(|length| u64::from_le_bytes(*length));
+        let length = bytes
+            .first_chunk()
+            .map(|length| u64::from_le_bytes(*length));
         length.is_some_and(|length| bytes.len() as u64 >= 8 + 32 + length)
     };
-    files.flatten().any(|file| std::fs::read(file.path()).is_ok_and(is_whole))
+    files
+        .flatten()
+        .any(|file| std::fs::read(file.path()).is_ok_and(is_whole))
 }
 
 /// A job with one worker, which leads its only tile and has left outcomes.
@@ -47,7 +53,9 @@ fn led<'a>(sandbox: &'a Sandbox, coordinator: &Coordinator<'a>) -> (u64, Backgro
 
 /// Waits until a worker helps.
 fn helps(worker: &Background) {
-    wait_for("a worker that helps", || worker.err().contains("helps with tile").then_some(()));
+    wait_for("a worker that helps", || {
+        worker.err().contains("helps with tile").then_some(())
+    });
 }
 
 /// Whether a worker has gone on where another one was lost.
@@ -66,11 +74,23 @@ fn workers_that_come_late_share_the_block() {
     let team = &shown["teams"][0];
     assert_eq!(team["helpers"].as_array().map(Vec::len), Some(2), "{shown}");
     let names = coordinator.ok(&format!("show {job}"));
-    assert!(names.contains(&format!("{} leads, helped by ", team["leader"].as_str().unwrap())), "{names}");
+    assert!(
+        names.contains(&format!(
+            "{} leads, helped by ",
+            team["leader"].as_str().unwrap()
+        )),
+        "{names}"
+    );
     assert_same(&coordinator.finish(job), alone(), "with helpers");
     assert_eq!(coordinator.count(job, "tiles_total"), 1);
-    wait_for("rays of helpers", || leader.err().contains("rays of helpers").then_some(()));
-    assert_eq!(sandbox.files_below("data/crews"), 0, "the outcomes are not needed any more");
+    wait_for("rays of helpers", || {
+        leader.err().contains("rays of helpers").then_some(())
+    });
+    assert_eq!(
+        sandbox.files_below("data/crews"),
+        0,
+        "the outcomes are not needed any more"
+    );
 }
 
 #[test]
@@ -81,8 +101,16 @@ fn a_killed_leaders_block_goes_on_where_it_was() {
     let heirs = [coordinator.worker(), coordinator.worker()];
     heirs.iter().for_each(helps);
     leader.kill();
-    assert_same(&coordinator.finish(job), alone(), "after the leader was killed");
-    assert_eq!(heirs.iter().filter(|heir| has_gone_on(heir)).count(), 1, "one of them leads now");
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after the leader was killed",
+    );
+    assert_eq!(
+        heirs.iter().filter(|heir| has_gone_on(heir)).count(),
+        1,
+        "one of them leads now"
+    );
 }
 
 #[test]
@@ -121,7 +149,11 @@ fn an_interrupted_bake_goes_on_where_it_was() {
     wait_for("an outcome", || has_outcome(&sandbox).then_some(()));
     interrupted.kill();
     let again = sandbox.run(&line).code(0);
-    assert!(again.err.contains("phases of an earlier worker"), "{}", again.err);
+    assert!(
+        again.err.contains("phases of an earlier worker"),
+        "{}",
+        again.err
+    );
     assert_same(&sandbox.read("whole.pvs"), alone(), "after an interruption");
 }
 
@@ -150,8 +182,14 @@ fn exact_cells_are_shared() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let (one, two) = (coordinator.worker(), coordinator.worker());
     let job = coordinator.submit(exact);
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "two workers");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "two workers",
+    );
     assert_eq!(coordinator.count(job, "tiles_total"), 1);
-    let shared = [&one, &two].iter().any(|worker| worker.err().contains("rays of helpers"));
+    let shared = [&one, &two]
+        .iter()
+        .any(|worker| worker.err().contains("rays of helpers"));
     assert!(shared, "the helper has decided cells");
 }

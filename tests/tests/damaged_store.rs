@@ -30,7 +30,9 @@ fn damaged_journal_is_reported_and_repaired() {
         let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
         for seed in 1..=3 {
             assert_eq!(
-                coordinator.submit(&format!("town.glb --backend cpu --cells 2x2x1 --seed {seed}")),
+                coordinator.submit(&format!(
+                    "town.glb --backend cpu --cells 2x2x1 --seed {seed}"
+                )),
                 seed
             );
         }
@@ -44,9 +46,17 @@ fn damaged_journal_is_reported_and_repaired() {
     let repair = "store verify --repair --data-dir data";
     let command = format!("`sightline {repair}`");
     let verified = sandbox.run("store verify --data-dir data").code(3);
-    verified.says("state/journal is damaged at byte").says(&command);
-    assert_eq!(files(&sandbox.path("data")), before, "a check must not change a byte");
-    let refused = sandbox.run("coordinator --listen 127.0.0.1:0 --data-dir data").code(3);
+    verified
+        .says("state/journal is damaged at byte")
+        .says(&command);
+    assert_eq!(
+        files(&sandbox.path("data")),
+        before,
+        "a check must not change a byte"
+    );
+    let refused = sandbox
+        .run("coordinator --listen 127.0.0.1:0 --data-dir data")
+        .code(3);
     refused.says("is damaged at byte").says(&command);
     assert_eq!(std::fs::read(&journal).unwrap(), bytes);
     let repaired = sandbox.ok(repair);
@@ -59,7 +69,10 @@ fn damaged_journal_is_reported_and_repaired() {
     let is_named = repaired.contains("job 3 and the latest changes of other jobs are lost");
     let jobs = coordinator.json("jobs").as_array().unwrap().len();
     assert_eq!(jobs, if is_named { 2 } else { 3 }, "{repaired}");
-    assert_eq!(coordinator.submit("town.glb --backend cpu --cells 2x2x1 --seed 4"), 4);
+    assert_eq!(
+        coordinator.submit("town.glb --backend cpu --cells 2x2x1 --seed 4"),
+        4
+    );
 }
 
 #[test]
@@ -69,7 +82,9 @@ fn cut_journal_without_view_names_lost_jobs() {
     {
         let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
         for seed in 1..=3 {
-            coordinator.submit(&format!("town.glb --backend cpu --cells 2x2x1 --seed {seed}"));
+            coordinator.submit(&format!(
+                "town.glb --backend cpu --cells 2x2x1 --seed {seed}"
+            ));
         }
     }
     std::fs::remove_dir_all(sandbox.path("data/state/sled")).unwrap();

@@ -17,7 +17,12 @@ const JSON: &str = "Content-Type: application/json\r\n";
 
 /// A call; gives the status and the answer.
 fn call(pages: &str, method: &str, request: &Value) -> (u32, Value) {
-    let (status, body) = ask(pages, &format!("POST /sightline.v1.{method}"), JSON, request.to_string());
+    let (status, body) = ask(
+        pages,
+        &format!("POST /sightline.v1.{method}"),
+        JSON,
+        request.to_string(),
+    );
     (status, serde_json::from_slice(&body).unwrap())
 }
 
@@ -28,9 +33,15 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
     let pages = &coordinator.pages;
     let job = coordinator.submit("rooms.glb --cells 2x1x2 --backend cpu");
     let (status, listed) = call(pages, "Jobs/List", &json!({}));
-    assert_eq!((status, &listed["jobs"][0]["state"]), (200, &"JOB_STATE_QUEUED".into()));
+    assert_eq!(
+        (status, &listed["jobs"][0]["state"]),
+        (200, &"JOB_STATE_QUEUED".into())
+    );
     let of_job = json!({ "job": job });
-    assert_eq!(call(pages, "Jobs/Pause", &of_job).1["state"], "JOB_STATE_PAUSED");
+    assert_eq!(
+        call(pages, "Jobs/Pause", &of_job).1["state"],
+        "JOB_STATE_PAUSED"
+    );
     assert_eq!(call(pages, "Jobs/Show", &of_job).1["spec"]["grid"]["z"], 2);
     let tiles = call(pages, "Farm/ListTiles", &of_job).1;
     assert_eq!(
@@ -40,27 +51,82 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
     // What is wrong is said in the codes of the Connect protocol.
     let code = |method: &str, request: &Value| {
         let (status, answer) = call(pages, method, request);
-        (status, answer["code"].as_str().unwrap_or_default().to_owned())
+        (
+            status,
+            answer["code"].as_str().unwrap_or_default().to_owned(),
+        )
     };
-    assert_eq!(code("Jobs/Show", &json!({"job": 99})), (404, "not_found".to_owned()));
-    assert_eq!(code("Jobs/Show", &json!({"jobb": 1})), (400, "invalid_argument".to_owned()));
-    assert_eq!(code("Jobs/Delete", &of_job), (400, "failed_precondition".to_owned()));
-    assert_eq!(code("Jobs/Nothing", &json!({})), (501, "unimplemented".to_owned()));
-    assert_eq!(code("Farm/ListTiles", &json!({"job": job, "limit": 10_001})).0, 400);
+    assert_eq!(
+        code("Jobs/Show", &json!({"job": 99})),
+        (404, "not_found".to_owned())
+    );
+    assert_eq!(
+        code("Jobs/Show", &json!({"jobb": 1})),
+        (400, "invalid_argument".to_owned())
+    );
+    assert_eq!(
+        code("Jobs/Delete", &of_job),
+        (400, "failed_precondition".to_owned())
+    );
+    assert_eq!(
+        code("Jobs/Nothing", &json!({})),
+        (501, "unimplemented".to_owned())
+    );
+    assert_eq!(
+        code("Farm/ListTiles", &json!({"job": job, "limit": 10_001})).0,
+        400
+    );
     let text = |answer: &(u32, Vec<u8>)| String::from_utf8(answer.1.clone()).unwrap();
     let early = ask(pages, &format!("GET /view/{job}"), "", "");
-    assert!(early.0 == 400 && text(&early).starts_with("none of the tiles"), "{}", text(&early));
+    assert!(
+        early.0 == 400 && text(&early).starts_with("none of the tiles"),
+        "{}",
+        text(&early)
+    );
     assert_eq!(ask(pages, "GET /results/x", "", "").0, 404);
     assert_eq!(ask(pages, "GET /nothing", "", "").0, 404);
     // A page of another site: with a form, with a script, and with a name of its own for this address.
     let list = "POST /sightline.v1.Jobs/List";
-    assert_eq!(ask(pages, list, "Content-Type: text/plain\r\n", "{}").0, 400);
-    assert_eq!(ask(pages, list, &format!("{JSON}Origin: http://evil.example\r\n"), "{}").0, 403);
-    assert_eq!(ask(pages, list, &format!("{JSON}Host: evil.example:80\r\n"), "{}").0, 403);
+    assert_eq!(
+        ask(pages, list, "Content-Type: text/plain\r\n", "{}").0,
+        400
+    );
+    assert_eq!(
+        ask(
+            pages,
+            list,
+            &format!("{JSON}Origin: http://evil.example\r\n"),
+            "{}"
+        )
+        .0,
+        403
+    );
+    assert_eq!(
+        ask(
+            pages,
+            list,
+            &format!("{JSON}Host: evil.example:80\r\n"),
+            "{}"
+        )
+        .0,
+        403
+    );
     let own = pages.trim_end_matches('/');
-    assert_eq!(ask(pages, list, &format!("{JSON}Origin: {own}\r\n"), "{}").0, 200);
+    assert_eq!(
+        ask(pages, list, &format!("{JSON}Origin: {own}\r\n"), "{}").0,
+        200
+    );
     let large = format!("{JSON}X: {}\r\n", "x".repeat(100));
-    assert_eq!(ask(pages, list, &large, format!("{{\"before\":\"{}\"}}", "1".repeat(5 << 20))).0, 413);
+    assert_eq!(
+        ask(
+            pages,
+            list,
+            &large,
+            format!("{{\"before\":\"{}\"}}", "1".repeat(5 << 20))
+        )
+        .0,
+        413
+    );
     // The result as a file.
     call(pages, "Jobs/Resume", &of_job);
     let _worker = coordinator.worker();
@@ -73,15 +139,23 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
 #[test]
 fn plain_text_beyond_this_machine_has_to_be_allowed() {
     let sandbox = Sandbox::new();
-    let run = sandbox.run("coordinator --listen 127.0.0.1:0 --http 0.0.0.0:0 --data-dir data").code(2);
-    assert!(run.err.contains("--http") && run.err.contains("--allow-plaintext"), "{}", run.err);
+    let run = sandbox
+        .run("coordinator --listen 127.0.0.1:0 --http 0.0.0.0:0 --data-dir data")
+        .code(2);
+    assert!(
+        run.err.contains("--http") && run.err.contains("--allow-plaintext"),
+        "{}",
+        run.err
+    );
 }
 
 #[test]
 fn a_browser_follows_a_job_and_changes_it() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator_with_pages("data");
-    let Some(browser) = Browser::start([1200, 1500]) else { return };
+    let Some(browser) = Browser::start([1200, 1500]) else {
+        return;
+    };
     let job = coordinator.submit(JOB);
     browser.open(&coordinator.pages);
     let text = |selector: &str| {
@@ -89,52 +163,91 @@ fn a_browser_follows_a_job_and_changes_it() {
         browser.run(&script).as_str().unwrap().to_owned()
     };
     let press = |what: &str| {
-        browser.run(&format!("document.querySelector('[data-call={what}]').click(); return 0"));
+        browser.run(&format!(
+            "document.querySelector('[data-call={what}]').click(); return 0"
+        ));
     };
-    wait_for("the job in the list", || text("#job-rows").contains("rooms.glb").then_some(()));
+    wait_for("the job in the list", || {
+        text("#job-rows").contains("rooms.glb").then_some(())
+    });
     browser.run("document.querySelector('#job-rows tr').click(); return 0");
-    wait_for("the map of tiles", || text("#map-legend").contains("64 ready").then_some(()));
+    wait_for("the map of tiles", || {
+        text("#map-legend").contains("64 ready").then_some(())
+    });
     let worker = coordinator.start("worker --backend cpu --threads 1 --name ann");
-    wait_for("tiles at work", || text("#job-state").starts_with("running").then_some(()));
+    wait_for("tiles at work", || {
+        text("#job-state").starts_with("running").then_some(())
+    });
     press("Pause");
-    wait_for("the pause", || text("#job-state").starts_with("paused").then_some(()));
+    wait_for("the pause", || {
+        text("#job-state").starts_with("paused").then_some(())
+    });
     coordinator.until(job, "a rest", |job| job["tiles_running"] == 0);
     press("Resume");
     // The canvas has the colours of the legend, and a click says who computed a tile.
-    wait_for("the end", || text("#job-state").starts_with("done").then_some(()));
-    wait_for("all tiles done", || text("#map-legend").contains("64 done").then_some(()));
+    wait_for("the end", || {
+        text("#job-state").starts_with("done").then_some(())
+    });
+    wait_for("all tiles done", || {
+        text("#map-legend").contains("64 done").then_some(())
+    });
     let green = "const c = document.getElementById('map'), pen = c.getContext('2d');
         const p = pen.getImageData(0, 0, c.width, c.height).data; let n = 0;
         for (let i = 0; i < p.length; i += 4) n += p[i] === 46 && p[i + 1] === 158 && p[i + 2] === 91;
         return n;";
-    wait_for("green tiles", || (browser.run(green).as_u64().unwrap() > 10_000).then_some(()));
+    wait_for("green tiles", || {
+        (browser.run(green).as_u64().unwrap() > 10_000).then_some(())
+    });
     let click = "const c = document.getElementById('map'), b = c.getBoundingClientRect();
         c.dispatchEvent(new MouseEvent('click', { clientX: b.left + 20, clientY: b.top + 20 })); return 0";
     browser.run(click);
-    wait_for("the tile's words", || text("#map-tile").contains("done on ann").then_some(()));
-    assert!(text("#time-note").contains("1 worker over"), "{}", text("#time-note"));
-    assert!(text("#events").contains("the job is done"), "{}", text("#events"));
+    wait_for("the tile's words", || {
+        text("#map-tile").contains("done on ann").then_some(())
+    });
+    assert!(
+        text("#time-note").contains("1 worker over"),
+        "{}",
+        text("#time-note")
+    );
+    assert!(
+        text("#events").contains("the job is done"),
+        "{}",
+        text("#events")
+    );
     // The workers, as they come and go.
     browser.run("location.hash = 'workers'; return 0");
-    wait_for("the worker", || text("#worker-rows").contains("ann").then_some(()));
+    wait_for("the worker", || {
+        text("#worker-rows").contains("ann").then_some(())
+    });
     worker.kill();
-    wait_for("its end", || (!text("#worker-rows").contains("ann")).then_some(()));
+    wait_for("its end", || {
+        (!text("#worker-rows").contains("ann")).then_some(())
+    });
     // The result in the viewer.
     browser.open(&format!("{}view/{job}", coordinator.pages));
-    let drawn = browser.run("return (await sightline).drawn").as_u64().unwrap();
+    let drawn = browser
+        .run("return (await sightline).drawn")
+        .as_u64()
+        .unwrap();
     assert!(drawn > 0);
     // Deleted, after a question.
     browser.open(&format!("{}#job={job}", coordinator.pages));
-    wait_for("the buttons", || text("#job-buttons").contains("Delete").then_some(()));
+    wait_for("the buttons", || {
+        text("#job-buttons").contains("Delete").then_some(())
+    });
     browser.run("window.confirm = () => true; return 0");
     press("Delete");
     let is_empty = "return !document.getElementById('no-jobs').hidden";
-    wait_for("the list without it", || (browser.run(is_empty) == true).then_some(()));
+    wait_for("the list without it", || {
+        (browser.run(is_empty) == true).then_some(())
+    });
     coordinator.run(&format!("show {job}")).code(4);
     assert_eq!(browser.messages(), Vec::<String>::new());
     // Without its coordinator the page says so.
     coordinator.process.kill();
-    wait_for("the word about it", || text("#message").contains("does not answer").then_some(()));
+    wait_for("the word about it", || {
+        text("#message").contains("does not answer").then_some(())
+    });
 }
 
 /// As many tiles as a job can have, and a thousand workers, which say hello and want nothing.
@@ -145,7 +258,9 @@ fn a_large_farm_is_shown() {
 
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator_with_pages("data");
-    let Some(browser) = Browser::start([1200, 900]) else { return };
+    let Some(browser) = Browser::start([1200, 900]) else {
+        return;
+    };
     let job = coordinator.submit("rooms.glb --cells 64x16x64 --block-cells 1 --backend cpu");
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let mut streams = Vec::new();
@@ -163,9 +278,17 @@ fn a_large_farm_is_shown() {
                 ..Default::default()
             });
             let (say, said) = tokio::sync::mpsc::channel(1);
-            say.send(v1::WorkerMessage { message: Some(hello) }).await.unwrap();
+            say.send(v1::WorkerMessage {
+                message: Some(hello),
+            })
+            .await
+            .unwrap();
             let said = tokio_stream::wrappers::ReceiverStream::new(said);
-            let heard = WorkersClient::new(channel.clone().unwrap()).work(said).await.unwrap().into_inner();
+            let heard = WorkersClient::new(channel.clone().unwrap())
+                .work(said)
+                .await
+                .unwrap()
+                .into_inner();
             streams.push((say, heard));
         }
     });
@@ -174,14 +297,20 @@ fn a_large_farm_is_shown() {
         browser.run(&script).as_str().unwrap().to_owned()
     };
     browser.open(&format!("{}#workers", coordinator.pages));
-    wait_for("all workers", || text("worker-count").starts_with("1000 workers, of which 300").then_some(()));
+    wait_for("all workers", || {
+        text("worker-count")
+            .starts_with("1000 workers, of which 300")
+            .then_some(())
+    });
     browser.run(
         "const f = document.getElementById('worker-filter'); f.value = 'w99';
         f.dispatchEvent(new Event('input')); return 0",
     );
     assert_eq!(text("worker-count"), "10 workers");
     browser.run(&format!("location.hash = 'job={job}'; return 0"));
-    wait_for("all tiles", || text("map-legend").contains("65536 ready").then_some(()));
+    wait_for("all tiles", || {
+        text("map-legend").contains("65536 ready").then_some(())
+    });
     let layers = browser.run("return document.getElementById('map-layer').max");
     assert_eq!(layers, "15");
     assert_eq!(browser.messages(), Vec::<String>::new());

@@ -1,7 +1,12 @@
 //! Workers that read and write a bucket by themselves, at addresses that the coordinator signs: the same
 //! bytes, past the coordinator; and through it wherever an address does not do.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::io::{self, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -39,19 +44,31 @@ fn sandbox([scene, job]: [&str; 2]) -> (Sandbox, S3Server) {
 }
 
 /// A coordinator on the bucket. `more` is further options of it.
-fn coordinator<'a>(sandbox: &'a Sandbox, server: &S3Server, data: &str, more: &str) -> Coordinator<'a> {
+fn coordinator<'a>(
+    sandbox: &'a Sandbox,
+    server: &S3Server,
+    data: &str,
+    more: &str,
+) -> Coordinator<'a> {
     let blobs = format!("s3://farm/{data}?endpoint={}{more}", server.endpoint());
-    sandbox.serve(data, &format!("--listen 127.0.0.1:0 --metrics-listen 127.0.0.1:0 --blobs {blobs}"))
+    sandbox.serve(
+        data,
+        &format!("--listen 127.0.0.1:0 --metrics-listen 127.0.0.1:0 --blobs {blobs}"),
+    )
 }
 
 fn worker(coordinator: &Coordinator<'_>, more: &str) -> Background {
-    coordinator.start(&format!("worker --backend cpu --threads 1 --metrics-listen 127.0.0.1:0{more}"))
+    coordinator.start(&format!(
+        "worker --backend cpu --threads 1 --metrics-listen 127.0.0.1:0{more}"
+    ))
 }
 
 /// The sum of the samples whose line begins with this.
 fn sum(text: &str, begin: &str) -> u64 {
     let lines = text.lines().filter(|line| line.starts_with(begin));
-    lines.map(|line| line.rsplit(' ').next().unwrap().parse::<f64>().unwrap() as u64).sum()
+    lines
+        .map(|line| line.rsplit(' ').next().unwrap().parse::<f64>().unwrap() as u64)
+        .sum()
 }
 
 fn text_at(url: &str) -> String {
@@ -70,7 +87,10 @@ fn of(coordinator: &Coordinator<'_>, begin: &str) -> u64 {
 fn of_workers(workers: &[Background], begin: &str) -> u64 {
     let of = |worker: &Background| {
         let out = worker.out();
-        let url = out.lines().find_map(|line| line.strip_prefix("metrics on ")).unwrap();
+        let url = out
+            .lines()
+            .find_map(|line| line.strip_prefix("metrics on "))
+            .unwrap();
         sum(&text_at(url), begin)
     };
     workers.iter().map(of).sum()
@@ -78,13 +98,22 @@ fn of_workers(workers: &[Background], begin: &str) -> u64 {
 
 /// Follows the job to its end; then its bytes are those of one process, and no log has a secret.
 fn finished(coordinator: &Coordinator<'_>, sandbox: &Sandbox, job: u64, workers: &[Background]) {
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "the result");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "the result",
+    );
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
     let events = coordinator.ok("logs");
-    let logs = workers.iter().map(Background::err).chain([coordinator.process.err(), events]);
+    let logs = workers
+        .iter()
+        .map(Background::err)
+        .chain([coordinator.process.err(), events]);
     for log in logs {
         for secret in [SECRET, "X-Amz-", "Signature=", "x-amz-checksum"] {
-            let at = log.find(secret).map(|at| &log[at.saturating_sub(300)..log.len().min(at + 100)]);
+            let at = log
+                .find(secret)
+                .map(|at| &log[at.saturating_sub(300)..log.len().min(at + 100)]);
             assert_eq!(at, None, "a log has {secret}");
         }
     }
@@ -102,15 +131,24 @@ fn workers_read_and_write_past_the_coordinator() {
     for (data, more) in [("through", ""), ("past", "&direct=yes")] {
         let coordinator = coordinator(&sandbox, &server, data, more);
         let job = coordinator.submit(LARGE[1]);
-        let scene = coordinator.json(&format!("show {job}"))["scene"].as_str().unwrap().to_owned();
+        let scene = coordinator.json(&format!("show {job}"))["scene"]
+            .as_str()
+            .unwrap()
+            .to_owned();
         let scene = size(&server.objects(&format!("farm/{data}"), &scene)[0]);
         assert!(scene > 7_000_000, "{scene}");
         let carried = || {
             let grpc = ["in", "out"].map(|way| {
-                of(&coordinator, &format!("sightline_transferred_bytes_total{{direction=\"{way}\""))
+                of(
+                    &coordinator,
+                    &format!("sightline_transferred_bytes_total{{direction=\"{way}\""),
+                )
             });
             let store = ["in", "out"].map(|way| {
-                of(&coordinator, &format!("sightline_object_store_bytes_total{{direction=\"{way}\""))
+                of(
+                    &coordinator,
+                    &format!("sightline_object_store_bytes_total{{direction=\"{way}\""),
+                )
             });
             [grpc[0], grpc[1], store[0], store[1]]
         };
@@ -124,45 +162,101 @@ fn workers_read_and_write_past_the_coordinator() {
         coordinator.ok(&format!("resume {job}"));
         coordinator.ok(&format!("watch {job}"));
         let after = carried();
-        let moved: Vec<u64> = after.iter().zip(before).map(|(after, before)| after - before).collect();
-        eprintln!("{data}: gRPC in {}, out {}; bucket in {}, out {}", moved[0], moved[1], moved[2], moved[3]);
+        let moved: Vec<u64> = after
+            .iter()
+            .zip(before)
+            .map(|(after, before)| after - before)
+            .collect();
+        eprintln!(
+            "{data}: gRPC in {}, out {}; bucket in {}, out {}",
+            moved[0], moved[1], moved[2], moved[3]
+        );
         let direct = |direction: &str, way: &str| {
             let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
             [
                 of_workers(&workers, &format!("sightline_worker_blobs_total{labels}")),
-                of_workers(&workers, &format!("sightline_worker_blob_bytes_total{labels}")),
+                of_workers(
+                    &workers,
+                    &format!("sightline_worker_blob_bytes_total{labels}"),
+                ),
             ]
         };
         if more.is_empty() {
-            assert_eq!((direct("in", "direct"), direct("out", "direct")), ([0; 2], [0; 2]));
+            assert_eq!(
+                (direct("in", "direct"), direct("out", "direct")),
+                ([0; 2], [0; 2])
+            );
             assert_eq!(direct("in", "coordinator"), [2, 2 * scene]);
             assert_eq!(of(&coordinator, "sightline_direct_"), 0);
         } else {
             assert_eq!(direct("in", "direct"), [2, 2 * scene]);
             let [outputs, bytes] = direct("out", "direct");
-            assert!(outputs >= 2 && bytes > 512 << 10, "{outputs} outputs of {bytes} bytes");
-            assert_eq!(of(&coordinator, "sightline_direct_addresses_total{operation=\"read\""), 2);
-            assert_eq!(of(&coordinator, "sightline_direct_bytes_total{operation=\"read\""), 2 * scene);
-            assert_eq!(of(&coordinator, "sightline_direct_addresses_total{operation=\"write\""), outputs);
-            assert_eq!(of(&coordinator, "sightline_direct_bytes_total{operation=\"write\""), bytes);
-            assert_eq!((direct("in", "coordinator"), direct("out", "coordinator")), ([0; 2], [0; 2]));
+            assert!(
+                outputs >= 2 && bytes > 512 << 10,
+                "{outputs} outputs of {bytes} bytes"
+            );
+            assert_eq!(
+                of(
+                    &coordinator,
+                    "sightline_direct_addresses_total{operation=\"read\""
+                ),
+                2
+            );
+            assert_eq!(
+                of(
+                    &coordinator,
+                    "sightline_direct_bytes_total{operation=\"read\""
+                ),
+                2 * scene
+            );
+            assert_eq!(
+                of(
+                    &coordinator,
+                    "sightline_direct_addresses_total{operation=\"write\""
+                ),
+                outputs
+            );
+            assert_eq!(
+                of(
+                    &coordinator,
+                    "sightline_direct_bytes_total{operation=\"write\""
+                ),
+                bytes
+            );
+            assert_eq!(
+                (direct("in", "coordinator"), direct("out", "coordinator")),
+                ([0; 2], [0; 2])
+            );
             // Through the coordinator go messages alone, and what members of crews find.
-            assert!(through[1] > 2 * scene && moved[1] < scene, "{moved:?} after {through:?}");
+            assert!(
+                through[1] > 2 * scene && moved[1] < scene,
+                "{moved:?} after {through:?}"
+            );
             // The store is read to check what was written there, and nothing of that is written again.
             // Besides, the coordinator may read the name of the store, which has 33 bytes, to compare it.
-            assert!([0, 33].contains(&through[2]) && moved[2] >= bytes, "{moved:?} after {through:?}");
-            assert!(moved[3] < through[3] && through[3] - moved[3] <= bytes, "{moved:?} after {through:?}");
+            assert!(
+                [0, 33].contains(&through[2]) && moved[2] >= bytes,
+                "{moved:?} after {through:?}"
+            );
+            assert!(
+                moved[3] < through[3] && through[3] - moved[3] <= bytes,
+                "{moved:?} after {through:?}"
+            );
         }
         assert_eq!(
-            of_workers(&workers, "sightline_worker_blobs_total{direction=\"in\",way=\"fallback\"}"),
+            of_workers(
+                &workers,
+                "sightline_worker_blobs_total{direction=\"in\",way=\"fallback\"}"
+            ),
             0
         );
         assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total"), 0);
         finished(&coordinator, &sandbox, job, &workers);
         // Nothing is left of what the workers wrote beside the blobs.
-        wait_for("the scene, the result and the name of the store alone", || {
-            (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(())
-        });
+        wait_for(
+            "the scene, the result and the name of the store alone",
+            || (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(()),
+        );
         through = moved;
     }
 }
@@ -176,15 +270,36 @@ fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
     let workers = [worker(&coordinator, "")];
     coordinator.ok(&format!("watch {job}"));
     let blobs = |workers: &[Background], way: &str| {
-        of_workers(workers, &format!("sightline_worker_blobs_total{{direction=\"in\",way=\"{way}\"}}"))
+        of_workers(
+            workers,
+            &format!("sightline_worker_blobs_total{{direction=\"in\",way=\"{way}\"}}"),
+        )
     };
-    assert_eq!((blobs(&workers, "direct"), blobs(&workers, "fallback")), (0, 1));
-    assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total{operation=\"read\""), 1);
+    assert_eq!(
+        (blobs(&workers, "direct"), blobs(&workers, "fallback")),
+        (0, 1)
+    );
+    assert_eq!(
+        of(
+            &coordinator,
+            "sightline_direct_fallbacks_total{operation=\"read\""
+        ),
+        1
+    );
     // It is not tried again in this session.
     assert_eq!(of(&coordinator, "sightline_direct_addresses_total"), 1);
-    assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total{operation=\"write\""), 0);
+    assert_eq!(
+        of(
+            &coordinator,
+            "sightline_direct_fallbacks_total{operation=\"write\""
+        ),
+        0
+    );
     let said = workers[0].err();
-    assert!(said.contains("the object store at 127.0.0.1 does not do (no connection"), "{said}");
+    assert!(
+        said.contains("the object store at 127.0.0.1 does not do (no connection"),
+        "{said}"
+    );
     finished(&coordinator, &sandbox, job, &workers);
     workers.into_iter().for_each(Background::kill);
     // One that does not ask for addresses, as one of an earlier version.
@@ -193,7 +308,10 @@ fn a_bucket_that_workers_do_not_reach_costs_nothing_but_a_word() {
     let job = coordinator.submit(&again);
     let workers = [worker(&coordinator, " --no-direct")];
     coordinator.ok(&format!("watch {job}"));
-    assert_eq!((blobs(&workers, "coordinator"), blobs(&workers, "fallback")), (1, 0));
+    assert_eq!(
+        (blobs(&workers, "coordinator"), blobs(&workers, "fallback")),
+        (1, 0)
+    );
     assert_eq!(of(&coordinator, "sightline_direct_addresses_total"), 1);
     finished(&coordinator, &sandbox, job, &workers);
 }
@@ -203,16 +321,31 @@ fn a_changed_object_is_found_by_the_worker_and_comes_from_the_coordinator() {
     let (sandbox, server) = sandbox(SMALL);
     let coordinator = coordinator(&sandbox, &server, "data", "&direct=yes");
     let job = coordinator.submit(SMALL[1]);
-    let digest = coordinator.json(&format!("show {job}"))["scene"].as_str().unwrap().to_owned();
-    let [scene] = &server.objects("farm", &digest)[..] else { panic!("one scene") };
+    let digest = coordinator.json(&format!("show {job}"))["scene"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let [scene] = &server.objects("farm", &digest)[..] else {
+        panic!("one scene")
+    };
     let mut bytes = std::fs::read(scene).unwrap();
     bytes[1_000_000] ^= 1;
     std::fs::write(scene, bytes).unwrap();
     // The coordinator has a copy.
     let workers = [worker(&coordinator, "")];
     coordinator.ok(&format!("watch {job}"));
-    assert!(workers[0].err().contains("do not have its digest"), "{}", workers[0].err());
-    assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total{operation=\"read\""), 1);
+    assert!(
+        workers[0].err().contains("do not have its digest"),
+        "{}",
+        workers[0].err()
+    );
+    assert_eq!(
+        of(
+            &coordinator,
+            "sightline_direct_fallbacks_total{operation=\"read\""
+        ),
+        1
+    );
     finished(&coordinator, &sandbox, job, &workers);
 }
 
@@ -233,17 +366,25 @@ fn between(to: SocketAddr, breaks: usize, after: u64) -> Between {
     let (count, bytes) = (Arc::clone(&broken), Arc::clone(&passed));
     thread::spawn(move || {
         for client in listener.incoming().map_while(Result::ok) {
-            let Ok(server) = TcpStream::connect(to) else { return };
+            let Ok(server) = TcpStream::connect(to) else {
+                return;
+            };
             let (mut up, mut down) = (client.try_clone().unwrap(), server.try_clone().unwrap());
             thread::spawn(move || io::copy(&mut up, &mut { server }));
             let (count, bytes) = (Arc::clone(&count), Arc::clone(&bytes));
             thread::spawn(move || {
                 let mut client = client;
-                let mut room = if count.load(Ordering::Relaxed) < breaks { after } else { u64::MAX };
+                let mut room = if count.load(Ordering::Relaxed) < breaks {
+                    after
+                } else {
+                    u64::MAX
+                };
                 let mut piece = vec![0; 64 << 10];
                 while room > 0 {
                     let most = room.min(piece.len() as u64) as usize;
-                    let Ok(read @ 1..) = down.read(&mut piece[..most]) else { break };
+                    let Ok(read @ 1..) = down.read(&mut piece[..most]) else {
+                        break;
+                    };
                     if client.write_all(&piece[..read]).is_err() {
                         break;
                     }
@@ -258,24 +399,43 @@ fn between(to: SocketAddr, breaks: usize, after: u64) -> Between {
             });
         }
     });
-    Between { address, broken, passed }
+    Between {
+        address,
+        broken,
+        passed,
+    }
 }
 
 #[test]
 fn a_download_that_breaks_off_goes_on_where_it_was() {
     let (sandbox, server) = sandbox(SMALL);
     let between = between(server.address(), 2, 700_000);
-    let coordinator = coordinator(&sandbox, &server, "data", &format!("&direct=http://{}", between.address));
+    let coordinator = coordinator(
+        &sandbox,
+        &server,
+        "data",
+        &format!("&direct=http://{}", between.address),
+    );
     let job = coordinator.submit(SMALL[1]);
     let workers = [worker(&coordinator, "")];
     coordinator.ok(&format!("watch {job}"));
-    assert_eq!(between.broken.load(Ordering::Relaxed), 2, "it broke off twice");
+    assert_eq!(
+        between.broken.load(Ordering::Relaxed),
+        2,
+        "it broke off twice"
+    );
     let read = "sightline_worker_blobs_total{direction=\"in\",way=\"direct\"}";
     assert_eq!(of_workers(&workers, read), 1);
-    let bytes = of_workers(&workers, "sightline_worker_blob_bytes_total{direction=\"in\",way=\"direct\"}");
+    let bytes = of_workers(
+        &workers,
+        "sightline_worker_blob_bytes_total{direction=\"in\",way=\"direct\"}",
+    );
     // Nothing of it came twice, but for what was under way.
     let passed = between.passed.load(Ordering::Relaxed);
-    assert!((bytes..bytes + bytes / 4).contains(&passed), "{passed} bytes for {bytes}");
+    assert!(
+        (bytes..bytes + bytes / 4).contains(&passed),
+        "{passed} bytes for {bytes}"
+    );
     assert_eq!(of(&coordinator, "sightline_direct_fallbacks_total"), 0);
     finished(&coordinator, &sandbox, job, &workers);
 }

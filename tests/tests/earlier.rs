@@ -13,11 +13,20 @@ use sightline_tests::{Background, Dump, Sandbox};
 
 /// Every kind of content that a result can have, in as few bytes as possible.
 const RESULTS: [(&str, &str); 6] = [
-    ("lines", "--cells 2x1x2 --target-error 0.03 --backend cpu --cell-to-cell off"),
-    ("pairs", "--cells 2x1x2 --target-error 0.03 --backend cpu --cell-to-cell on"),
+    (
+        "lines",
+        "--cells 2x1x2 --target-error 0.03 --backend cpu --cell-to-cell off",
+    ),
+    (
+        "pairs",
+        "--cells 2x1x2 --target-error 0.03 --backend cpu --cell-to-cell on",
+    ),
     ("tree", "--triangle-budget 60 --max-depth 4 --backend cpu"),
     ("bound", "--cells 2x1x1 --max-error 0.05 --backend cpu"),
-    ("exact", "--cells 2x1x1 --method exact --certificates --backend cpu"),
+    (
+        "exact",
+        "--cells 2x1x1 --method exact --certificates --backend cpu",
+    ),
     ("portals", "--cells 2x1x1 --method portals"),
 ];
 const SCENE: &str = "generate rooms --triangles 300 -o rooms.glb";
@@ -82,9 +91,15 @@ fn freeze_results() {
     fs::copy(sandbox.path("rooms.glb"), folder.join("rooms.glb")).unwrap();
     for (name, options) in RESULTS {
         let result = format!("{name}.pvs");
-        sandbox.ok(&format!("bake rooms.glb {options} --data-dir {name} -o {result}"));
+        sandbox.ok(&format!(
+            "bake rooms.glb {options} --data-dir {name} -o {result}"
+        ));
         fs::copy(sandbox.path(&result), folder.join(&result)).unwrap();
-        fs::write(folder.join(format!("{name}.dump")), sandbox.ok(&format!("dump {result}"))).unwrap();
+        fs::write(
+            folder.join(format!("{name}.dump")),
+            sandbox.ok(&format!("dump {result}")),
+        )
+        .unwrap();
         let info = format!("{:#}\n", info(&sandbox, &result));
         fs::write(folder.join(format!("{name}.json")), info).unwrap();
     }
@@ -95,7 +110,9 @@ fn has(today: &Value, then: &Value, at: &str) {
     match (today, then) {
         (Value::Object(today), Value::Object(then)) => {
             for (key, value) in then {
-                let found = today.get(key).unwrap_or_else(|| panic!("{at} has no {key} any more"));
+                let found = today
+                    .get(key)
+                    .unwrap_or_else(|| panic!("{at} has no {key} any more"));
                 has(found, value, &format!("{at}.{key}"));
             }
         }
@@ -120,7 +137,11 @@ fn results_of_earlier_versions_say_what_they_said() {
             results += 1;
             let at = path.display().to_string();
             let name = path.file_name().unwrap().to_str().unwrap();
-            assert_eq!(sandbox.ok(&format!("dump {name}")), read(&path.with_extension("dump")), "{at}");
+            assert_eq!(
+                sandbox.ok(&format!("dump {name}")),
+                read(&path.with_extension("dump")),
+                "{at}"
+            );
             let then: Value = serde_json::from_str(&read(&path.with_extension("json"))).unwrap();
             has(&info(&sandbox, name), &then, &at);
             let dump = Dump::parse(&read(&path.with_extension("dump")));
@@ -132,7 +153,10 @@ fn results_of_earlier_versions_say_what_they_said() {
         // The proofs hold for the scene that they are about.
         let verified = sandbox.json("verify rooms.glb exact.pvs");
         assert_eq!(verified["accepted"], true, "{verified}");
-        assert!(verified["certificates_checked"].as_u64().unwrap() > 0, "{verified}");
+        assert!(
+            verified["certificates_checked"].as_u64().unwrap() > 0,
+            "{verified}"
+        );
     }
 }
 
@@ -143,7 +167,10 @@ const JOBS: [(&str, &str); 6] = [
     ("exact", "--cells 2x1x1 --method exact --certificates"),
     ("half", "--cells 8x8x8 --block-cells 8 --target-error 0.01"),
     ("cancelled", "--cells 4x1x2 --target-error 0.03"),
-    ("waiting", "--cells 8x1x8 --block-cells 8 --target-error 0.03 --priority 3"),
+    (
+        "waiting",
+        "--cells 8x1x8 --block-cells 8 --target-error 0.03 --priority 3",
+    ),
 ];
 
 fn freeze_data() {
@@ -159,17 +186,25 @@ fn freeze_data() {
     for job in &JOBS[..3] {
         let job = submit(job);
         let bytes = coordinator.finish(job);
-        results.insert(job.to_string(), json!(blake3::hash(&bytes).to_hex().to_string()));
+        results.insert(
+            job.to_string(),
+            json!(blake3::hash(&bytes).to_hex().to_string()),
+        );
     }
     // Computed again, which a record of tiles and one of the job tell.
     coordinator.ok("invalidate 2");
     coordinator.finish(2);
     let half = submit(&JOBS[3]);
-    coordinator.until(half, "some tiles", |job| job["tiles_done"].as_u64() >= Some(5));
+    coordinator.until(half, "some tiles", |job| {
+        job["tiles_done"].as_u64() >= Some(5)
+    });
     coordinator.ok(&format!("pause {half} --now"));
     workers.into_iter().for_each(Background::kill);
     let done = coordinator.count(half, "tiles_done");
-    assert!(done < coordinator.count(half, "tiles_total"), "all {done} tiles are done; make the job larger");
+    assert!(
+        done < coordinator.count(half, "tiles_total"),
+        "all {done} tiles are done; make the job larger"
+    );
     let cancelled = submit(&JOBS[4]);
     coordinator.ok(&format!("cancel {cancelled}"));
     submit(&JOBS[5]);
@@ -177,9 +212,17 @@ fn freeze_data() {
     coordinator.process.signal("TERM");
     coordinator.process.end().code(0);
     let folder = next("data");
-    sandbox.ok(&format!("store export --data-dir data -o {}", folder.join("records.jsonl").display()));
+    sandbox.ok(&format!(
+        "store export --data-dir data -o {}",
+        folder.join("records.jsonl").display()
+    ));
     copy(&sandbox.path("data"), &folder.join("data"));
-    for made_anew in ["data/state/sled", "data/crews", "data/events", "data/copies"] {
+    for made_anew in [
+        "data/state/sled",
+        "data/crews",
+        "data/events",
+        "data/copies",
+    ] {
         // Not all of them are there.
         drop(fs::remove_dir_all(folder.join(made_anew)));
     }
@@ -213,16 +256,32 @@ fn data_of_earlier_versions_is_served() {
         for (job, digest) in then["results"].as_object().unwrap() {
             coordinator.ok(&format!("fetch {job} -o {job}.pvs"));
             let bytes = sandbox.read(&format!("{job}.pvs"));
-            assert_eq!(json!(blake3::hash(&bytes).to_hex().to_string()), *digest, "{at}, job {job}");
+            assert_eq!(
+                json!(blake3::hash(&bytes).to_hex().to_string()),
+                *digest,
+                "{at}, job {job}"
+            );
         }
         let _worker = coordinator.worker();
         let jobs = coordinator.json("jobs --all");
         let text = |job: &Value, key: &str| job[key].as_str().unwrap_or_default().to_owned();
-        for (today, then) in jobs.as_array().unwrap().iter().zip(then["jobs"].as_array().unwrap()) {
-            assert_eq!((&today["job"], &today["name"]), (&then["job"], &then["name"]), "{at}");
+        for (today, then) in jobs
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(then["jobs"].as_array().unwrap())
+        {
+            assert_eq!(
+                (&today["job"], &today["name"]),
+                (&then["job"], &then["name"]),
+                "{at}"
+            );
             let (job, state) = (then["job"].as_u64().unwrap(), text(then, "state"));
             if is_same && state == "paused" {
-                assert_eq!((&today["state"], &today["tiles_done"]), (&then["state"], &then["tiles_done"]));
+                assert_eq!(
+                    (&today["state"], &today["tiles_done"]),
+                    (&then["state"], &then["tiles_done"])
+                );
                 coordinator.ok(&format!("resume {job}"));
             }
             let ended = coordinator.until(job, "its end", |job| {
@@ -232,12 +291,18 @@ fn data_of_earlier_versions_is_served() {
             if goes_on && !is_same {
                 assert_eq!(ended["state"], "failed", "{at}: {ended}");
                 let reason = text(&ended, "reason");
-                assert!(reason.contains("another version of this program began it"), "{at}: {reason}");
+                assert!(
+                    reason.contains("another version of this program began it"),
+                    "{at}: {reason}"
+                );
             } else {
                 let expected = if goes_on { "done" } else { &state };
                 assert_eq!(text(&ended, "state"), expected, "{at}: {ended}");
             }
         }
-        assert_eq!(jobs.as_array().unwrap().len(), then["jobs"].as_array().unwrap().len());
+        assert_eq!(
+            jobs.as_array().unwrap().len(),
+            then["jobs"].as_array().unwrap().len()
+        );
     }
 }

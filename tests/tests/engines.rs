@@ -1,7 +1,12 @@
 //! The examples for engines (examples/): each is run where its engine can run here, else against a stub or a
 //! parser, as examples/README.md says of each.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,7 +17,10 @@ use serde_json::{Value, json};
 use sightline_tests::{Browser, Sandbox, Site, example, in_ci, program};
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .to_owned()
 }
 
 /// A folder with a maze and its exact result, and what `dump` says of its cells' objects.
@@ -22,16 +30,27 @@ fn maze() -> &'static (Sandbox, Vec<Value>) {
         let sandbox = Sandbox::new();
         sandbox.ok("generate maze --grid 5x3 -o level.glb");
         let boxes = "--view-box 0.4,0.5,0.4,9.6,1.5,5.6 --cells 5x1x3";
-        sandbox.ok(&format!("bake level.glb -o level.pvs {boxes} --method exact --backend cpu"));
+        sandbox.ok(&format!(
+            "bake level.glb -o level.pvs {boxes} --method exact --backend cpu"
+        ));
         let dump = sandbox.ok("dump level.pvs --items objects");
-        let cells = dump.lines().skip(1).map(|line| serde_json::from_str(line).unwrap()).collect();
+        let cells = dump
+            .lines()
+            .skip(1)
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
         (sandbox, cells)
     })
 }
 
 /// The middle of a cell of `dump`.
 fn middle(cell: &Value) -> [f64; 3] {
-    [0, 1, 2].map(|k| f64::midpoint(cell["min"][k].as_f64().unwrap(), cell["max"][k].as_f64().unwrap()))
+    [0, 1, 2].map(|k| {
+        f64::midpoint(
+            cell["min"][k].as_f64().unwrap(),
+            cell["max"][k].as_f64().unwrap(),
+        )
+    })
 }
 
 /// Says that something is not run, or fails in CI.
@@ -45,7 +64,11 @@ fn said(command: &mut Command) -> Option<String> {
     match command.output() {
         Ok(out) => {
             let err = String::from_utf8_lossy(&out.stderr);
-            assert!(out.status.success(), "{command:?}: {err}{}", String::from_utf8_lossy(&out.stdout));
+            assert!(
+                out.status.success(),
+                "{command:?}: {err}{}",
+                String::from_utf8_lossy(&out.stdout)
+            );
             Some(String::from_utf8(out.stdout).unwrap())
         }
         Err(e) => {
@@ -57,7 +80,12 @@ fn said(command: &mut Command) -> Option<String> {
 
 /// The target folder of this build, where what is fetched is kept.
 fn kept() -> PathBuf {
-    std::env::current_exe().unwrap().ancestors().nth(3).unwrap().join("engines")
+    std::env::current_exe()
+        .unwrap()
+        .ancestors()
+        .nth(3)
+        .unwrap()
+        .join("engines")
 }
 
 /// Python with a package index; `None` where it cannot be had.
@@ -78,11 +106,21 @@ fn python() -> Option<&'static Path> {
 /// failure.
 fn pip(python: &Path, command: &str, arguments: &[&str]) -> bool {
     let mut pip = Command::new(python);
-    pip.args(["-m", "pip", command, "--quiet", "--disable-pip-version-check"]).args(arguments);
+    pip.args([
+        "-m",
+        "pip",
+        command,
+        "--quiet",
+        "--disable-pip-version-check",
+    ])
+    .args(arguments);
     let out = pip.output().unwrap();
     if !out.status.success() {
         let why = String::from_utf8_lossy(&out.stderr);
-        skipped(&format!("pip cannot fetch {arguments:?}: {}", why.lines().last().unwrap_or_default()));
+        skipped(&format!(
+            "pip cannot fetch {arguments:?}: {}",
+            why.lines().last().unwrap_or_default()
+        ));
     }
     out.status.success()
 }
@@ -101,14 +139,22 @@ fn three() -> Option<PathBuf> {
         let list = folder.join("wheel.txt");
         std::fs::write(&list, WHEEL).unwrap();
         let [list, at] = [&list, &folder].map(|path| path.to_str().unwrap());
-        if !pip(python, "download", &["--no-deps", "--require-hashes", "-r", list, "-d", at]) {
+        if !pip(
+            python,
+            "download",
+            &["--no-deps", "--require-hashes", "-r", list, "-d", at],
+        ) {
             return None;
         }
         let wheel = folder.join("nicegui-2.24.2-py3-none-any.whl");
         let unpack = "import sys, zipfile
 z = zipfile.ZipFile(sys.argv[1])
 z.extractall(sys.argv[2], [n for n in z.namelist() if n.startswith('nicegui/elements/lib/three/')])";
-        said(Command::new(python).args(["-c", unpack]).args([&wheel, &folder]))?;
+        said(
+            Command::new(python)
+                .args(["-c", unpack])
+                .args([&wheel, &folder]),
+        )?;
         std::fs::remove_file(wheel).unwrap();
         std::fs::write(modules.join("complete"), "").unwrap();
     }
@@ -151,7 +197,9 @@ const LOOK: &str = "
 #[test]
 fn three_draws_the_same_pictures_with_fewer_calls() {
     let Some(three) = three() else { return };
-    let Some(browser) = Browser::start([400, 300]) else { return };
+    let Some(browser) = Browser::start([400, 300]) else {
+        return;
+    };
     let (sandbox, cells) = maze();
     // The page with another import map: this three.js, whose loader names a module by another name.
     let page = std::fs::read_to_string(root().join("examples/three/index.html")).unwrap();
@@ -162,7 +210,9 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
         "three/addons/loaders/": "/three/modules/",
         "BufferGeometryUtils": "/three/modules/BufferGeometryUtils.js",
     }});
-    let page = format!("{before}<link rel=icon href=data:,><script type=\"importmap\">{map}</script>{after}");
+    let page = format!(
+        "{before}<link rel=icon href=data:,><script type=\"importmap\">{map}</script>{after}"
+    );
     sandbox.write("index.html", page);
     let site = Site::start(&[
         ("/examples/three/index.html", sandbox.path("index.html")),
@@ -170,12 +220,17 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
         ("/three/", three),
         ("/", root()),
     ]);
-    browser.open(&site.address("/examples/three/index.html?scene=/level/level.glb&pvs=/level/level.pvs"));
+    browser.open(
+        &site.address("/examples/three/index.html?scene=/level/level.glb&pvs=/level/level.pvs"),
+    );
     // The page itself counts.
     let counted = "await globalThis.example; await new Promise(requestAnimationFrame);
         await new Promise(requestAnimationFrame); return document.getElementById('status').textContent";
     let status = browser.run(counted);
-    assert!(status.as_str().unwrap().contains("draw calls with culling"), "{status}");
+    assert!(
+        status.as_str().unwrap().contains("draw calls with culling"),
+        "{status}"
+    );
     browser.run("const { renderer } = await globalThis.example; renderer.setAnimationLoop(null);");
     let eyes: Vec<[f64; 3]> = cells.iter().map(middle).collect();
     let answer = browser.run(&format!(
@@ -194,8 +249,17 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
         assert_eq!(cell, (number / 6) as i64);
         assert!(on <= off && differing == 0, "view {number}: {view}");
     }
-    let sum = |k: usize| all.iter().map(|view| view[k].as_i64().unwrap()).sum::<i64>();
-    assert!(sum(1) * 5 < sum(2) * 4, "{} draw calls with culling, {} without", sum(1), sum(2));
+    let sum = |k: usize| {
+        all.iter()
+            .map(|view| view[k].as_i64().unwrap())
+            .sum::<i64>()
+    };
+    assert!(
+        sum(1) * 5 < sum(2) * 4,
+        "{} draw calls with culling, {} without",
+        sum(1),
+        sum(2)
+    );
     // The comparison sees a single mesh that is missing.
     let missing = browser.run(&format!(
         "{LOOK} look({:?}, 0);
@@ -214,12 +278,19 @@ fn three_draws_the_same_pictures_with_fewer_calls() {
     assert!(missing.as_i64().unwrap() > 100, "{missing}");
     // Another scene is refused in words.
     sandbox.ok("generate maze --grid 4x3 -o other.glb");
-    browser.open(&site.address("/examples/three/index.html?scene=/level/other.glb&pvs=/level/level.pvs"));
+    browser.open(
+        &site.address("/examples/three/index.html?scene=/level/other.glb&pvs=/level/level.pvs"),
+    );
     let why = browser.run(
         "try { await globalThis.example; } catch (e) {
           await new Promise(requestAnimationFrame); return document.getElementById('status').textContent; }",
     );
-    assert!(why.as_str().unwrap().contains("load the file that was baked"), "{why}");
+    assert!(
+        why.as_str()
+            .unwrap()
+            .contains("load the file that was baked"),
+        "{why}"
+    );
 }
 
 #[test]
@@ -227,24 +298,42 @@ fn the_unity_component_culls_in_a_stub_of_unity() {
     let (sandbox, cells) = maze();
     sandbox.ok("export level.pvs --format sidecar -o level.json");
     let sidecar: Value = serde_json::from_slice(&sandbox.read("level.json")).unwrap();
-    let nodes: Vec<&str> = sidecar["objects"].as_array().unwrap().iter().map(node).collect();
+    let nodes: Vec<&str> = sidecar["objects"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(node)
+        .collect();
     let mut names: Vec<&str> = nodes.clone();
     names.push("a lamp of the game");
     sandbox.write("names.txt", names.join("\n"));
-    let eyes: Vec<String> = cells.iter().map(|cell| middle(cell).map(|c| c.to_string()).join(" ")).collect();
+    let eyes: Vec<String> = cells
+        .iter()
+        .map(|cell| middle(cell).map(|c| c.to_string()).join(" "))
+        .collect();
     sandbox.write("eyes.txt", format!("{}\n1e6 0 0\n", eyes.join("\n")));
     let exe = sandbox.path("stub.exe");
     let mut compile = Command::new("mcs");
-    compile.arg("-warnaserror").arg(format!("-out:{}", exe.display()));
-    compile.args(["readers/csharp/SightlinePvs.cs", "examples/unity/SightlineCuller.cs"]);
-    compile.arg("tests/engines/UnityStub.cs").current_dir(root());
+    compile
+        .arg("-warnaserror")
+        .arg(format!("-out:{}", exe.display()));
+    compile.args([
+        "readers/csharp/SightlinePvs.cs",
+        "examples/unity/SightlineCuller.cs",
+    ]);
+    compile
+        .arg("tests/engines/UnityStub.cs")
+        .current_dir(root());
     if said(&mut compile).is_none() {
         return;
     }
     let libraries = program().parent().unwrap().to_owned();
     let run = |file: &str| {
         let mut mono = Command::new("mono");
-        mono.arg(&exe).arg(file).current_dir(sandbox.path(".")).env("LD_LIBRARY_PATH", &libraries);
+        mono.arg(&exe)
+            .arg(file)
+            .current_dir(sandbox.path("."))
+            .env("LD_LIBRARY_PATH", &libraries);
         said(&mut mono).unwrap()
     };
     let out = run("level.pvs");
@@ -270,16 +359,26 @@ fn node(object: &Value) -> &str {
 fn expected<'a>(names: &[&'a str], nodes: &[&str], cells: &[Value], cell: &Value) -> Vec<&'a str> {
     let has = |cell: &Value, name: &str| {
         let ids = cell["visible"].as_array().unwrap().iter();
-        ids.map(|id| nodes[id.as_u64().unwrap() as usize]).any(|node| node == name)
+        ids.map(|id| nodes[id.as_u64().unwrap() as usize])
+            .any(|node| node == name)
     };
     let is_known = |name: &str| cells.iter().any(|cell| has(cell, name));
-    names.iter().copied().filter(|name| !is_known(name) || has(cell, name)).collect()
+    names
+        .iter()
+        .copied()
+        .filter(|name| !is_known(name) || has(cell, name))
+        .collect()
 }
 
 #[test]
 fn the_godot_script_is_gdscript() {
     let Some(python) = python() else { return };
-    let tools = ["gdtoolkit==4.5.0", "lark==1.2.2", "docopt-ng==0.9.0", "radon==6.0.1"];
+    let tools = [
+        "gdtoolkit==4.5.0",
+        "lark==1.2.2",
+        "docopt-ng==0.9.0",
+        "radon==6.0.1",
+    ];
     if !pip(python, "install", &tools) {
         return;
     }
@@ -295,7 +394,14 @@ fn the_godot_script_is_gdscript() {
     );
     let sandbox = Sandbox::new();
     sandbox.write("broken.gd", text);
-    assert!(!tool("gdparse").arg(sandbox.path("broken.gd")).output().unwrap().status.success());
+    assert!(
+        !tool("gdparse")
+            .arg(sandbox.path("broken.gd"))
+            .output()
+            .unwrap()
+            .status
+            .success()
+    );
     eprintln!(
         "not run: examples/godot in Godot (neither Debian nor PyPI has Godot 4); it is parsed and linted"
     );
@@ -305,7 +411,11 @@ fn the_godot_script_is_gdscript() {
 fn players_are_told_of_whom_their_cells_see() {
     let (sandbox, cells) = maze();
     let seen = sandbox.ok("dump level.pvs --items cells");
-    let seen: Vec<Value> = seen.lines().skip(1).map(|line| serde_json::from_str(line).unwrap()).collect();
+    let seen: Vec<Value> = seen
+        .lines()
+        .skip(1)
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
     let sees = |a: usize, b: usize| seen[a]["visible"].as_array().unwrap().contains(&json!(b));
     let lines = cells.iter().enumerate().map(|(number, cell)| {
         let [x, y, z] = middle(cell);
@@ -326,7 +436,10 @@ fn players_are_told_of_whom_their_cells_see() {
         drop(child.stdin.take().unwrap().write_all(players.as_bytes()));
         let out = child.wait_with_output().unwrap();
         let lines = String::from_utf8(out.stdout).unwrap();
-        let lines: Vec<String> = lines.lines().map(|line| line.trim_end().to_owned()).collect();
+        let lines: Vec<String> = lines
+            .lines()
+            .map(|line| line.trim_end().to_owned())
+            .collect();
         (lines, String::from_utf8(out.stderr).unwrap())
     };
     let all = 0..cells.len();
@@ -339,20 +452,36 @@ fn players_are_told_of_whom_their_cells_see() {
         })
         .collect();
     assert_eq!(lines, expected);
-    let pairs = |lines: &[String]| lines.iter().map(|line| line.split(' ').count() - 1).sum::<usize>();
+    let pairs = |lines: &[String]| {
+        lines
+            .iter()
+            .map(|line| line.split(' ').count() - 1)
+            .sum::<usize>()
+    };
     let most = cells.len() * (cells.len() - 1);
     assert!((1..most).contains(&pairs(&lines)), "{lines:?}");
     // With a margin more may know of each other, and always both or none.
     let (wider, _) = ask("level.pvs 1.5", &players);
     assert!(pairs(&wider) > pairs(&lines), "{wider:?}");
     let knows = |a: usize, b: usize| wider[a].split(' ').any(|name| name == format!("p{b}"));
-    assert!(all.clone().all(|a| all.clone().all(|b| a == b || knows(a, b) == knows(b, a))), "{wider:?}");
+    assert!(
+        all.clone()
+            .all(|a| all.clone().all(|b| a == b || knows(a, b) == knows(b, a))),
+        "{wider:?}"
+    );
     // Of who is outside nothing is known, so everybody is told, and they of everybody.
     let (lines, _) = ask("level.pvs", &format!("{players}far -100 0 0\n"));
     assert_eq!(lines.last().unwrap().split(' ').count(), 1 + cells.len());
-    assert!(lines[..cells.len()].iter().all(|line| line.ends_with(" far")));
+    assert!(
+        lines[..cells.len()]
+            .iter()
+            .all(|line| line.ends_with(" far"))
+    );
     let (_, why) = ask("level.pvs", "p 1 2\n");
-    assert!(why.contains("line 1") && why.contains("name x y z"), "{why}");
+    assert!(
+        why.contains("line 1") && why.contains("name x y z"),
+        "{why}"
+    );
     assert!(ask("level.pvs -1", "").1.contains("usage"));
     sandbox.ok("bake level.glb -o none.pvs --cells 2x1x1 --cell-to-cell off --backend cpu");
     assert!(ask("none.pvs", &players).1.contains("--cell-to-cell on"));

@@ -12,7 +12,8 @@ use sightline_tests::{Sandbox, across, assert_same, house};
 /// Three walls with slits of a thousandth of their size: triangles beyond the walls are seen through at most
 /// two slits.
 const SCENE: &str = "generate slits --grid 3x2 --slit-width 0.001 -o slits.glb";
-const JOB: &str = "slits.glb --cells 3x2x2 --block-cells 1 --backend cpu --method exact --certificates";
+const JOB: &str =
+    "slits.glb --cells 3x2x2 --block-cells 1 --backend cpu --method exact --certificates";
 
 /// A folder with the scene in it, and with `exact.pvs`.
 fn sandbox() -> Sandbox {
@@ -39,10 +40,16 @@ fn a_cluster_that_is_disturbed_decides_the_same_to_the_last_byte() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let victim = coordinator.worker();
-    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    coordinator.until(job, "a first tile", |job| {
+        job["tiles_done"].as_u64().unwrap() > 0
+    });
     victim.kill();
     let _heirs = [coordinator.worker(), coordinator.worker()];
-    assert_same(&coordinator.finish(job), alone(), "after a worker was killed");
+    assert_same(
+        &coordinator.finish(job),
+        alone(),
+        "after a worker was killed",
+    );
 }
 
 #[test]
@@ -54,7 +61,10 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     sandbox.ok("bake slits.glb --cells 3x2x2 --backend cpu -o sampled.pvs --data-dir data");
     for (cell, sampled) in exact.cells.iter().zip(sandbox.dump("sampled.pvs").cells) {
         let seen = |t: &u64| cell.visible.binary_search(t).is_ok();
-        assert!(sampled.visible.iter().all(seen), "sampling showed what is hidden");
+        assert!(
+            sampled.visible.iter().all(seen),
+            "sampling showed what is hidden"
+        );
     }
     let report = sandbox.json("verify slits.glb exact.pvs");
     assert_eq!(report["accepted"], true);
@@ -75,11 +85,18 @@ fn everything_is_decided_and_verified_and_sampling_shows_nothing_else() {
     assert_eq!(decided["evidence_bytes"], report["evidence_bytes"]);
     assert_eq!(decided["cells_open"], 0);
     let lines = sandbox.ok("info exact.pvs");
-    assert!(lines.lines().any(|l| l == "missed sight lines: none"), "{lines}");
+    assert!(
+        lines.lines().any(|l| l == "missed sight lines: none"),
+        "{lines}"
+    );
     assert!(sandbox.json("info sampled.pvs")["decided"].is_null());
     let cells = sandbox.json("info exact.pvs --cells");
     assert!(
-        cells["per_cell"].as_array().unwrap().iter().any(|c| c["exact_queries"].as_u64() > Some(0)),
+        cells["per_cell"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|c| c["exact_queries"].as_u64() > Some(0)),
         "{cells}"
     );
 }
@@ -101,27 +118,46 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
         for cell in 0..pvs.cells() {
             pvs.visible(cell, &mut visible).unwrap();
             builder.push_cell(&visible, &[], flags).unwrap();
-            builder.push_certificate(pvs.certificate(cell).unwrap().unwrap()).unwrap();
+            builder
+                .push_certificate(pvs.certificate(cell).unwrap().unwrap())
+                .unwrap();
         }
-        builder.set_pairs(pvs.cell_pairs().unwrap().unwrap()).unwrap();
+        builder
+            .set_pairs(pvs.cell_pairs().unwrap().unwrap())
+            .unwrap();
         let mut file = Vec::new();
         builder.finish(&mut file).unwrap();
         sandbox.write("said.pvs", &file);
     };
     let info = pvs.info_json();
     said("exact", info, 0);
-    assert!(sandbox.ok("verify slits.glb said.pvs").starts_with("accepted: "));
+    assert!(
+        sandbox
+            .ok("verify slits.glb said.pvs")
+            .starts_with("accepted: ")
+    );
     let sampled = sandbox.ok("verify slits.glb said.pvs --sample 7");
-    assert!(sampled.starts_with("accepted by a sample of 7 pairs: "), "{sampled}");
+    assert!(
+        sampled.starts_with("accepted by a sample of 7 pairs: "),
+        "{sampled}"
+    );
     for (method, info, flags, why) in [
         ("trust", info.to_owned(), 0, "\"trust\" is no method"),
         ("verified", info.to_owned(), 0, "its method is verified"),
-        ("exact", info.replace("[3,2,2]", "[3,2,3]"), 0, "its parameters say [3,2,3] cells"),
+        (
+            "exact",
+            info.replace("[3,2,2]", "[3,2,3]"),
+            0,
+            "its parameters say [3,2,3] cells",
+        ),
         ("exact", info.to_owned(), 4, "cell 0 has flags 0x4"),
     ] {
         said(method, &info, flags);
         let refused = sandbox.run("verify slits.glb said.pvs").code(3).err;
-        assert!(refused.contains("REFUSED") && refused.contains(why), "{refused}");
+        assert!(
+            refused.contains("REFUSED") && refused.contains(why),
+            "{refused}"
+        );
     }
 }
 
@@ -130,7 +166,8 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let bake = |blocks: &str, out: &str| {
-        let job = format!("slits.glb --cells 4x4x2 --backend cpu --method exact --certificates {blocks}");
+        let job =
+            format!("slits.glb --cells 4x4x2 --backend cpu --method exact --certificates {blocks}");
         sandbox.ok(&format!("bake {job} -o {out} --data-dir {out}.data"));
         (
             sandbox.dump(out),
@@ -145,24 +182,43 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
             assert_eq!((&a.visible, &a.undecided), (&j.visible, &j.undecided));
         }
         assert_eq!(claims["accepted"], true);
-        assert_eq!(claims["certificates"], claims["certificates_checked"], "{claims}");
+        assert_eq!(
+            claims["certificates"], claims["certificates_checked"],
+            "{claims}"
+        );
         assert!(
             claims["certificates"].as_u64() < claims_alone["certificates"].as_u64(),
             "{claims} {claims_alone}"
         );
-        assert!(claims["evidence_bytes"].as_u64() < claims_alone["evidence_bytes"].as_u64(), "{claims}");
+        assert!(
+            claims["evidence_bytes"].as_u64() < claims_alone["evidence_bytes"].as_u64(),
+            "{claims}"
+        );
         let above = |c: &Value| c["exact_above"].as_u64() > Some(0);
-        assert!(info["per_cell"].as_array().unwrap().iter().all(above), "{info}");
+        assert!(
+            info["per_cell"].as_array().unwrap().iter().all(above),
+            "{info}"
+        );
     }
     // The number of workers changes no byte.
     for workers in [1, 4] {
-        let job = "slits.glb --cells 4x4x2 --backend cpu --method exact --certificates --block-cells 8";
-        sandbox.ok(&format!("bake {job} --workers {workers} -o by{workers}.pvs --data-dir by{workers}.data"));
+        let job =
+            "slits.glb --cells 4x4x2 --backend cpu --method exact --certificates --block-cells 8";
+        sandbox.ok(&format!(
+            "bake {job} --workers {workers} -o by{workers}.pvs --data-dir by{workers}.data"
+        ));
     }
-    assert_same(&sandbox.read("by1.pvs"), &sandbox.read("by4.pvs"), "by one worker and by four");
+    assert_same(
+        &sandbox.read("by1.pvs"),
+        &sandbox.read("by4.pvs"),
+        "by one worker and by four",
+    );
     // A sample looks up the certificate of a cell group, which is kept with the group's first cell.
     let sampled = sandbox.json("verify slits.glb joint.pvs --sample 60");
-    assert!(sampled["certificates_checked"].as_u64() > Some(0), "{sampled}");
+    assert!(
+        sampled["certificates_checked"].as_u64() > Some(0),
+        "{sampled}"
+    );
     // `query --why` finds a group's certificate that is kept with another cell.
     let triangles = alone.header["triangles"].as_u64().unwrap();
     let middle = alone.cells[5].middle().map(|c| c.to_string()).join(" ");
@@ -170,16 +226,26 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
         .map(|t| sandbox.json(&format!("query joint.pvs {middle} --why {t}")))
         .filter(|why| why["from"].is_array())
         .inspect(|why| {
-            assert!(why["state"] == "hidden" && !why["blockers"].as_array().unwrap().is_empty(), "{why}")
+            assert!(
+                why["state"] == "hidden" && !why["blockers"].as_array().unwrap().is_empty(),
+                "{why}"
+            )
         })
         .count();
-    assert!(boxes > 0, "something is hidden from the box around the cell");
+    assert!(
+        boxes > 0,
+        "something is hidden from the box around the cell"
+    );
     // Cells are refused without their group's certificate, and so are exchanged certificates.
     let joint = sandbox.read("joint.pvs");
     let pvs = Pvs::from_bytes(joint.clone()).unwrap();
-    let all: Vec<Vec<u8>> = (0..pvs.cells()).map(|c| pvs.certificate(c).unwrap().unwrap().to_vec()).collect();
+    let all: Vec<Vec<u8>> = (0..pvs.cells())
+        .map(|c| pvs.certificate(c).unwrap().unwrap().to_vec())
+        .collect();
     let refused = |others: &[Vec<u8>]| {
-        let altered = changed(&joint, |cell, _, evidence| evidence.clone_from(&others[cell as usize]));
+        let altered = changed(&joint, |cell, _, evidence| {
+            evidence.clone_from(&others[cell as usize])
+        });
         sandbox.write("altered.pvs", altered);
         let err = sandbox.run("verify slits.glb altered.pvs").code(3).err;
         assert!(err.contains("REFUSED"), "{err}");
@@ -200,21 +266,30 @@ fn cells_decided_together_have_the_sets_they_have_alone_and_share_certificates()
 fn cells_of_an_adaptive_tree_are_decided_and_verified() {
     let sandbox = sandbox();
     let tree = "--triangle-budget 12 --max-depth 5 --backend cpu";
-    sandbox.ok(&format!("bake slits.glb {tree} --method exact --certificates -o tree.pvs --data-dir data"));
+    sandbox.ok(&format!(
+        "bake slits.glb {tree} --method exact --certificates -o tree.pvs --data-dir data"
+    ));
     let report = sandbox.json("verify slits.glb tree.pvs");
     assert_eq!(
         (&report["accepted"], &report["undecided"]),
         (&Value::from(true), &Value::from(0)),
         "{report}"
     );
-    sandbox.ok(&format!("bake slits.glb {tree} -o sampled.pvs --data-dir data"));
+    sandbox.ok(&format!(
+        "bake slits.glb {tree} -o sampled.pvs --data-dir data"
+    ));
     let [exact, sampled] = ["tree.pvs", "sampled.pvs"].map(|name| sandbox.dump(name).cells);
     // The tree is deeper than the splits that are always made, and is the same for both methods, since
     // sampling determines it.
     assert!(exact.len() > 8, "{} cells", exact.len());
     assert_eq!(exact.len(), sampled.len());
     for (cell, sampled) in exact.iter().zip(sampled) {
-        assert!(sampled.visible.iter().all(|t| cell.visible.binary_search(t).is_ok()));
+        assert!(
+            sampled
+                .visible
+                .iter()
+                .all(|t| cell.visible.binary_search(t).is_ok())
+        );
     }
 }
 
@@ -243,7 +318,9 @@ fn changed(result: &[u8], change: impl Fn(u32, &mut Vec<u32>, &mut Vec<u8>)) -> 
         builder.push_certificate(&evidence).unwrap();
     }
     builder.set_columns(pvs.columns().unwrap()).unwrap();
-    builder.set_pairs(pvs.cell_pairs().unwrap().unwrap()).unwrap();
+    builder
+        .set_pairs(pvs.cell_pairs().unwrap().unwrap())
+        .unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file
@@ -257,7 +334,8 @@ fn a_result_that_was_altered_is_refused_and_the_cell_is_named() {
         sandbox.write("other.pvs", file);
         sandbox.run("verify slits.glb other.pvs").code(3).says(what);
         let report: Value =
-            serde_json::from_str(&sandbox.run("verify slits.glb other.pvs --json").code(3).out).unwrap();
+            serde_json::from_str(&sandbox.run("verify slits.glb other.pvs --json").code(3).out)
+                .unwrap();
         assert_eq!(report["accepted"], false);
     };
     // A visible triangle reported as hidden, a hidden one reported as visible, the certificate of another
@@ -320,15 +398,24 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
     for t in (0..triangles).step_by(7) {
         let visible = cell.visible.binary_search(&t).is_ok();
         let kept = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t}"));
-        let asked = sandbox.json(&format!("query exact.pvs {x} {y} {z} --why {t} --scene slits.glb"));
-        assert_eq!((&kept["state"], &kept["meets"]), (&asked["state"], &asked["meets"]), "{kept} {asked}");
+        let asked = sandbox.json(&format!(
+            "query exact.pvs {x} {y} {z} --why {t} --scene slits.glb"
+        ));
+        assert_eq!(
+            (&kept["state"], &kept["meets"]),
+            (&asked["state"], &asked["meets"]),
+            "{kept} {asked}"
+        );
         if !visible && kept["surface"] != true {
             assert!(!kept["blockers"].as_array().unwrap().is_empty(), "{kept}");
         }
         assert_eq!(kept["state"], if visible { "visible" } else { "hidden" });
         if visible && kept["meets"] != true {
             let from: Vec<f64> = serde_json::from_value(kept["witness"][0].clone()).unwrap();
-            assert!((0..3).all(|k| cell.min[k] <= from[k] && from[k] <= cell.max[k]), "{kept}");
+            assert!(
+                (0..3).all(|k| cell.min[k] <= from[k] && from[k] <= cell.max[k]),
+                "{kept}"
+            );
             seen += 1;
         }
         hidden += usize::from(!visible);
@@ -338,7 +425,12 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
         .run(&format!("query exact.pvs {x} {y} {z} --why 100000"))
         .code(2)
         .says("there is no triangle 100000");
-    let words = sandbox.run(&format!("query exact.pvs {x} {y} {z} --why {}", cell.visible[0])).code(0);
+    let words = sandbox
+        .run(&format!(
+            "query exact.pvs {x} {y} {z} --why {}",
+            cell.visible[0]
+        ))
+        .code(0);
     assert!(words.out.contains("visible"), "{}", words.out);
 }
 
@@ -346,49 +438,92 @@ fn who_asks_why_is_told_the_witness_or_the_blockers() {
 fn an_object_is_seen_when_a_triangle_of_it_is_and_a_picture_shows_why() {
     let sandbox = Sandbox::new();
     // A wall at x = 2 leaves y from 1 to 2 open; the shelf stands behind it, low.
-    let shelf = [[2.2, 0.1, 0.5], [2.5, 0.1, 0.5], [2.5, 0.1, 1.0], [2.2, 0.1, 1.0]];
-    sandbox.write("house.obj", house(&[("wall", across(2.0, [0.0, 1.0], [0.0, 2.0])), ("shelf", shelf)]));
+    let shelf = [
+        [2.2, 0.1, 0.5],
+        [2.5, 0.1, 0.5],
+        [2.5, 0.1, 1.0],
+        [2.2, 0.1, 1.0],
+    ];
+    sandbox.write(
+        "house.obj",
+        house(&[
+            ("wall", across(2.0, [0.0, 1.0], [0.0, 2.0])),
+            ("shelf", shelf),
+        ]),
+    );
     let boxes = "--view-box 0.25,0.25,0.25,3.65,0.9,1.75 --cells 2x1x1";
-    sandbox.ok(&format!("bake house.obj -o house.pvs --method exact --certificates --backend cpu {boxes}"));
+    sandbox.ok(&format!(
+        "bake house.obj -o house.pvs --method exact --certificates --backend cpu {boxes}"
+    ));
     let dump = sandbox.dump("house.pvs");
     let info = sandbox.json("info house.pvs");
     let (mut seen, mut hidden) = (0, 0);
     for (i, object) in info["objects"].as_array().unwrap().iter().enumerate() {
         let [first, count] = ["first", "count"].map(|key| object[key].as_u64().unwrap());
-        let visible = (first..first + count).any(|t| dump.cells[0].visible.binary_search(&t).is_ok());
+        let visible =
+            (first..first + count).any(|t| dump.cells[0].visible.binary_search(&t).is_ok());
         let kept = sandbox.json(&format!("query house.pvs --cell 0 --why object:{i}"));
         let picture = format!("why-{i}.png");
         let asked = sandbox.json(&format!(
             "query house.pvs 0.5 0.8 1 --why object:{i} --scene house.obj --picture {picture}"
         ));
         for answer in [&kept, &asked] {
-            assert_eq!(answer["state"], if visible { "visible" } else { "hidden" }, "{answer}");
-            assert_eq!((&answer["name"], &answer["object"]), (&object["name"], &i.into()), "{answer}");
+            assert_eq!(
+                answer["state"],
+                if visible { "visible" } else { "hidden" },
+                "{answer}"
+            );
+            assert_eq!(
+                (&answer["name"], &answer["object"]),
+                (&object["name"], &i.into()),
+                "{answer}"
+            );
         }
         let file = std::fs::File::open(sandbox.path(&picture)).unwrap();
-        let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+        let mut reader = png::Decoder::new(std::io::BufReader::new(file))
+            .read_info()
+            .unwrap();
         let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut pixels).unwrap();
         let drawn = |like: fn([i32; 3]) -> bool| {
-            pixels.chunks(3).filter(|p| like([p[0], p[1], p[2]].map(i32::from))).count()
+            pixels
+                .chunks(3)
+                .filter(|p| like([p[0], p[1], p[2]].map(i32::from)))
+                .count()
         };
         // What is asked about is green, what hides it red, the end of a witness a yellow frame.
         let green = drawn(|[r, g, b]| g > r + 30 && g > b + 30);
         let red = drawn(|[r, g, b]| r > g + 60 && r > b + 60);
         if visible {
             let ends = drawn(|p| p == [250, 220, 0]);
-            assert!(green > 1000 && red == 0 && (ends > 40) == asked["witness"].is_array(), "{asked}");
+            assert!(
+                green > 1000 && red == 0 && (ends > 40) == asked["witness"].is_array(),
+                "{asked}"
+            );
             seen += 1;
         } else {
-            assert!(green == 0 && red > 1000 && asked["blockers"].as_array().unwrap().len() > 1, "{asked}");
+            assert!(
+                green == 0 && red > 1000 && asked["blockers"].as_array().unwrap().len() > 1,
+                "{asked}"
+            );
             hidden += 1;
         }
     }
     assert!(seen > 4 && hidden == 1, "{seen} {hidden}");
     let shelf = sandbox.json("query house.pvs --cell 0 --why shelf");
-    assert_eq!((&shelf["state"], &shelf["triangles"]), (&"hidden".into(), &2.into()), "{shelf}");
-    sandbox.run("query house.pvs --cell 0 --why nothing").code(2).says("no object");
-    sandbox.run("query house.pvs --cell 0 --why 3 --picture x.png").code(2).says("--scene");
+    assert_eq!(
+        (&shelf["state"], &shelf["triangles"]),
+        (&"hidden".into(), &2.into()),
+        "{shelf}"
+    );
+    sandbox
+        .run("query house.pvs --cell 0 --why nothing")
+        .code(2)
+        .says("no object");
+    sandbox
+        .run("query house.pvs --cell 0 --why 3 --picture x.png")
+        .code(2)
+        .says("--scene");
 }
 
 #[test]
@@ -396,16 +531,27 @@ fn a_time_budget_leaves_a_sound_bracket() {
     let sandbox = sandbox();
     let exact = sandbox.dump("exact.pvs");
     let job = "slits.glb --cells 3x2x2 --backend cpu --method verified --certificates";
-    sandbox.ok(&format!("bake {job} --time-budget 20ms -o short.pvs --data-dir data"));
+    sandbox.ok(&format!(
+        "bake {job} --time-budget 20ms -o short.pvs --data-dir data"
+    ));
     let short = sandbox.dump("short.pvs");
     assert_eq!(short.header["method"], "verified");
     for (whole, cut) in exact.cells.iter().zip(&short.cells) {
         let drawn = |t: &u64| cut.visible.binary_search(t).is_ok();
-        assert!(whole.visible.iter().all(drawn), "something visible is missing");
-        let sure = cut.visible.iter().filter(|t| cut.undecided.binary_search(t).is_err());
+        assert!(
+            whole.visible.iter().all(drawn),
+            "something visible is missing"
+        );
+        let sure = cut
+            .visible
+            .iter()
+            .filter(|t| cut.undecided.binary_search(t).is_err());
         sure.for_each(|t| assert!(whole.visible.binary_search(t).is_ok(), "{t} is hidden"));
     }
-    assert!(short.cells.iter().any(|c| !c.undecided.is_empty()), "there was time for everything");
+    assert!(
+        short.cells.iter().any(|c| !c.undecided.is_empty()),
+        "there was time for everything"
+    );
     let lines = sandbox.ok("info short.pvs");
     assert!(
         lines.contains("visible from a cell: between ")
@@ -413,17 +559,39 @@ fn a_time_budget_leaves_a_sound_bracket() {
         "{lines}"
     );
     let report = sandbox.json("verify slits.glb short.pvs");
-    assert_eq!(report["undecided"], short.cells.iter().map(|c| c.undecided.len() as u64).sum::<u64>());
+    assert_eq!(
+        report["undecided"],
+        short
+            .cells
+            .iter()
+            .map(|c| c.undecided.len() as u64)
+            .sum::<u64>()
+    );
 }
 
 #[test]
 fn what_cannot_be_verified_says_why() {
     let sandbox = sandbox();
-    sandbox.run("bake slits.glb --certificates -o x.pvs").code(2).says("--method exact");
+    sandbox
+        .run("bake slits.glb --certificates -o x.pvs")
+        .code(2)
+        .says("--method exact");
     sandbox.ok("bake slits.glb --cells 1x1x1 --backend cpu -o sampled.pvs --data-dir data");
-    sandbox.run("verify slits.glb sampled.pvs").code(3).says("no certificates");
-    sandbox.run("query sampled.pvs 0 0 0.1 --why 3").code(3).says("--scene");
+    sandbox
+        .run("verify slits.glb sampled.pvs")
+        .code(3)
+        .says("no certificates");
+    sandbox
+        .run("query sampled.pvs 0 0 0.1 --why 3")
+        .code(3)
+        .says("--scene");
     sandbox.ok("generate slits --grid 2x2 -o others.glb");
-    sandbox.run("verify others.glb exact.pvs").code(3).says("another scene");
-    sandbox.run("query exact.pvs 0 0 0.1 --why 3 --scene others.glb").code(3).says("another scene");
+    sandbox
+        .run("verify others.glb exact.pvs")
+        .code(3)
+        .says("another scene");
+    sandbox
+        .run("query exact.pvs 0 0 0.1 --why 3 --scene others.glb")
+        .code(3)
+        .says("another scene");
 }

@@ -13,11 +13,24 @@ const TRIANGLES: u32 = 5_000_000;
 /// Writes a result of a few hundred bytes with one cell that sees all of its many triangles.
 fn small_result(sandbox: &Sandbox) {
     let tree = CellTree::new([[0.0; 3], [1.0; 3]], vec![Node::Leaf]).unwrap();
-    let object = Object { name: "all".into(), first: 0, count: TRIANGLES, source: None };
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count: TRIANGLES,
+        source: None,
+    };
     let (method, info_json) = ("aggressive".into(), "{}".into());
-    let header = Header { triangles: TRIANGLES, method, tree, objects: vec![object], info_json };
+    let header = Header {
+        triangles: TRIANGLES,
+        method,
+        tree,
+        objects: vec![object],
+        info_json,
+    };
     let mut builder = Builder::new(header).unwrap();
-    builder.set_items(&Items::Objects { never: Vec::new() }).unwrap();
+    builder
+        .set_items(&Items::Objects { never: Vec::new() })
+        .unwrap();
     builder.push_cell(&[0], &[], 0).unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
@@ -33,8 +46,16 @@ fn ends_well(run: Run, texts: &[&str]) -> bool {
         return true;
     }
     let run = run.code(1);
-    assert!(run.err.lines().any(|line| line.starts_with("error: ")), "no sentence:\n{}", run.err);
-    assert!(texts.iter().any(|text| run.err.contains(text)), "none of {texts:?}:\n{}", run.err);
+    assert!(
+        run.err.lines().any(|line| line.starts_with("error: ")),
+        "no sentence:\n{}",
+        run.err
+    );
+    assert!(
+        texts.iter().any(|text| run.err.contains(text)),
+        "none of {texts:?}:\n{}",
+        run.err
+    );
     false
 }
 
@@ -55,9 +76,14 @@ fn small_result_needs_little_memory() {
     // 160 MiB for stacks and heap: a JSON document in memory would need 32 bytes for each id.
     let limited = |line: &str| sandbox.run_limited("ulimit -d 163840", line).code(0).out;
     let answer = limited("query small.pvs 0.5 0.5 0.5 --json");
-    let end = format!(",{}],\"undecided\":[],\"set_aside\":false}}\n", TRIANGLES - 1);
+    let end = format!(
+        ",{}],\"undecided\":[],\"set_aside\":false}}\n",
+        TRIANGLES - 1
+    );
     assert!(answer.ends_with(&end), "{}", &answer[answer.len() - 100..]);
-    assert!(limited("dump small.pvs").ends_with(&format!(",{}],\"undecided\":[]}}\n", TRIANGLES - 1)));
+    assert!(
+        limited("dump small.pvs").ends_with(&format!(",{}],\"undecided\":[]}}\n", TRIANGLES - 1))
+    );
     limited("info small.pvs --json");
     limited("diff small.pvs small.pvs --json");
     limited("export small.pvs --format manifest -o small.json");
@@ -66,14 +92,27 @@ fn small_result_needs_little_memory() {
 #[test]
 fn missing_descriptors_end_with_sentence() {
     let sandbox = baked();
-    let texts = ["Too many open files", "too many open files", "open files, and a process that serves needs"];
+    let texts = [
+        "Too many open files",
+        "too many open files",
+        "open files, and a process that serves needs",
+    ];
     let generate = "generate maze --grid 3x3 -o again.glb";
     // The loader opens one file at a time, next to stdin, stdout and stderr.
-    assert!(!ends_well(sandbox.run_limited("ulimit -n 4", generate), &texts));
-    assert!(!ends_well(sandbox.run_limited("ulimit -n 6", "jobs"), &texts));
+    assert!(!ends_well(
+        sandbox.run_limited("ulimit -n 4", generate),
+        &texts
+    ));
+    assert!(!ends_well(
+        sandbox.run_limited("ulimit -n 6", "jobs"),
+        &texts
+    ));
     for few in 4..60 {
         let bake = format!("{BAKE} --data-dir with-{few} -o again.pvs");
-        if ends_well(sandbox.run_limited(&format!("ulimit -n {few}"), &bake), &texts) {
+        if ends_well(
+            sandbox.run_limited(&format!("ulimit -n {few}"), &bake),
+            &texts,
+        ) {
             assert!(few > 10, "a bake needs more descriptors than {few}");
             return;
         }
@@ -86,15 +125,24 @@ fn missing_memory_and_threads_end_with_sentence() {
     let mut sandbox = baked();
     // Three million triangles have 108 MB of coordinates.
     let generate = "generate forest --triangles 3000000 -o forest.glb";
-    assert!(!ends_well(sandbox.run_limited("ulimit -d 50000", generate), &["ulimit -v"]));
+    assert!(!ends_well(
+        sandbox.run_limited("ulimit -d 50000", generate),
+        &["ulimit -v"]
+    ));
     for kilobytes in [5_000, 20_000, 50_000, 100_000] {
         let bake = format!("{BAKE} --data-dir with-{kilobytes} -o again.pvs");
         let limits = format!("ulimit -d {kilobytes}");
-        assert!(!ends_well(sandbox.run_limited(&limits, &bake), &["ulimit -v"]), "{limits}");
+        assert!(
+            !ends_well(sandbox.run_limited(&limits, &bake), &["ulimit -v"]),
+            "{limits}"
+        );
     }
     // The stacks of 4000 threads have 8 GB.
     sandbox.set("RAYON_NUM_THREADS", "4000");
     for _ in 0..8 {
-        assert!(!ends_well(sandbox.run_limited("ulimit -d 1000000", "info maze.pvs"), &["ulimit -v"]));
+        assert!(!ends_well(
+            sandbox.run_limited("ulimit -d 1000000", "info maze.pvs"),
+            &["ulimit -v"]
+        ));
     }
 }

@@ -18,22 +18,36 @@ fn sandbox() -> Sandbox {
 /// The lines of a command that prints JSON Lines.
 fn lines(coordinator: &Coordinator<'_>, line: &str) -> Vec<Value> {
     let out = coordinator.ok(&format!("{line} --json"));
-    out.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    out.lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
 }
 
 fn number(value: &Value) -> u64 {
-    value.as_u64().unwrap_or_else(|| panic!("{value} is no number"))
+    value
+        .as_u64()
+        .unwrap_or_else(|| panic!("{value} is no number"))
 }
 
 #[test]
 fn workers_tiles_and_events_tell_what_happened() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    assert!(coordinator.ok("workers").contains("no workers are connected"));
+    assert!(
+        coordinator
+            .ok("workers")
+            .contains("no workers are connected")
+    );
     let job = coordinator.submit(JOB);
     let tiles = lines(&coordinator, &format!("show {job} --tiles"));
     assert_eq!(tiles.len(), 64);
-    assert!(tiles.iter().all(|t| t["state"] == "ready" && t["cells"] == 8), "{}", tiles[0]);
+    assert!(
+        tiles
+            .iter()
+            .all(|t| t["state"] == "ready" && t["cells"] == 8),
+        "{}",
+        tiles[0]
+    );
     // The boxes of the tiles are those of a grid: they fill the view box.
     let volume = |t: &Value| {
         let at = |i: usize| t["box"][i].as_f64().unwrap();
@@ -43,16 +57,35 @@ fn workers_tiles_and_events_tell_what_happened() {
     assert!(first > 0.0 && tiles.iter().all(|t| (volume(t) / first - 1.0).abs() < 1e-3));
     let worker = coordinator.start("worker --backend cpu --threads 1 --name ann");
     let busy = wait_for("a worker at work", || {
-        coordinator.json("workers").as_array().unwrap().first().filter(|w| w["tiles"][0].is_object()).cloned()
+        coordinator
+            .json("workers")
+            .as_array()
+            .unwrap()
+            .first()
+            .filter(|w| w["tiles"][0].is_object())
+            .cloned()
     });
-    assert_eq!((&busy["name"], &busy["draining"]), (&"ann".into(), &false.into()));
+    assert_eq!(
+        (&busy["name"], &busy["draining"]),
+        (&"ann".into(), &false.into())
+    );
     assert_eq!(number(&busy["tiles"][0]["job"]), job);
     coordinator.finish(job);
     let tiles = lines(&coordinator, &format!("show {job} --tiles"));
-    assert!(tiles.iter().all(|t| t["state"] == "done" && t["workers"] == serde_json::json!(["ann"])));
-    assert_eq!(tiles.iter().map(|t| number(&t["cells_done"])).sum::<u64>(), 512);
+    assert!(
+        tiles
+            .iter()
+            .all(|t| t["state"] == "done" && t["workers"] == serde_json::json!(["ann"]))
+    );
+    assert_eq!(
+        tiles.iter().map(|t| number(&t["cells_done"])).sum::<u64>(),
+        512
+    );
     let idle = coordinator.json("workers")[0].clone();
-    assert_eq!((number(&idle["tiles_done"]), number(&idle["cells_done"])), (64, 512));
+    assert_eq!(
+        (number(&idle["tiles_done"]), number(&idle["cells_done"])),
+        (64, 512)
+    );
     assert!(coordinator.ok("workers").starts_with("ann ("));
 
     let events = lines(&coordinator, &format!("logs {job}"));
@@ -62,22 +95,37 @@ fn workers_tiles_and_events_tell_what_happened() {
     let numbers: Vec<u64> = events.iter().map(|e| number(&e["number"])).collect();
     assert!(numbers.is_sorted() && events.is_sorted_by_key(|e| number(&e["at_ms"])));
     let last = &events[events.len() - 1];
-    assert!(last["text"].as_str().unwrap().starts_with("the job is done"), "{last}");
+    assert!(
+        last["text"]
+            .as_str()
+            .unwrap()
+            .starts_with("the job is done"),
+        "{last}"
+    );
     // Those of the farm have the worker, and the rest by number.
     let all = lines(&coordinator, "logs");
-    assert!(all.iter().any(|e| e["kind"] == "worker" && e["worker"] == "ann"));
+    assert!(
+        all.iter()
+            .any(|e| e["kind"] == "worker" && e["worker"] == "ann")
+    );
     let half = numbers[numbers.len() / 2];
     let rest = lines(&coordinator, &format!("logs {job} --after {half}"));
     assert_eq!(rest.len(), numbers.iter().filter(|n| **n > half).count());
     // The spec is shown as the interface names it, and jobs have ages.
-    assert_eq!(coordinator.json(&format!("show {job}"))["spec"]["grid"]["x"], 8);
+    assert_eq!(
+        coordinator.json(&format!("show {job}"))["spec"]["grid"]["x"],
+        8
+    );
     assert!(coordinator.ok("jobs").contains("ended "));
 
     // They outlive the coordinator.
     let address = coordinator.address();
     worker.kill();
     wait_for("the worker's end in the log", || {
-        lines(&coordinator, "logs").iter().any(|e| e["text"] == "worker ann has gone").then_some(())
+        lines(&coordinator, "logs")
+            .iter()
+            .any(|e| e["text"] == "worker ann has gone")
+            .then_some(())
     });
     // Events are written a moment later.
     std::thread::sleep(std::time::Duration::from_millis(500));
@@ -85,8 +133,14 @@ fn workers_tiles_and_events_tell_what_happened() {
     let coordinator = sandbox.coordinator("data", &address);
     let again = lines(&coordinator, &format!("logs {job}"));
     assert_eq!(again, events);
-    coordinator.run("logs 99").code(4).says("job 99 is not known here");
-    coordinator.run("show 99 --tiles").code(4).says("job 99 is not known here");
+    coordinator
+        .run("logs 99")
+        .code(4)
+        .says("job 99 is not known here");
+    coordinator
+        .run("show 99 --tiles")
+        .code(4)
+        .says("job 99 is not known here");
 }
 
 #[test]
@@ -108,13 +162,22 @@ fn a_paused_job_finishes_its_tiles_or_stops_now() {
     assert_eq!(texts(&coordinator), 0, "a tile at work was taken back");
     coordinator.ok(&format!("resume {job}"));
     let more = number(&paused["tiles_done"]);
-    coordinator.until(job, "more tiles", |j| number(&j["tiles_done"]) > more && at_work(j));
+    coordinator.until(job, "more tiles", |j| {
+        number(&j["tiles_done"]) > more && at_work(j)
+    });
     let stopped = coordinator.json(&format!("pause {job} --now"));
-    assert_eq!((&stopped["state"], &stopped["tiles_running"]), (&"paused".into(), &0.into()));
+    assert_eq!(
+        (&stopped["state"], &stopped["tiles_running"]),
+        (&"paused".into(), &0.into())
+    );
     coordinator.ok(&format!("resume {job}"));
     let alone = sandbox.ok(&format!("bake {JOB} -o alone.pvs --data-dir alone"));
     assert!(alone.contains("alone.pvs"));
-    sightline_tests::assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after pauses");
+    sightline_tests::assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after pauses",
+    );
 }
 
 #[test]
@@ -122,17 +185,29 @@ fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
     let sandbox = sandbox();
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
-    let refused = coordinator.run(&format!("fetch {job} --partial -o some.pvs")).code(4);
+    let refused = coordinator
+        .run(&format!("fetch {job} --partial -o some.pvs"))
+        .code(4);
     assert!(refused.err.contains("none of the tiles"), "{}", refused.err);
     let worker = coordinator.worker();
-    coordinator.until(job, "the job's middle", |job| number(&job["tiles_done"]) > 3);
+    coordinator.until(job, "the job's middle", |job| {
+        number(&job["tiles_done"]) > 3
+    });
     coordinator.ok(&format!("pause {job}"));
     coordinator.until(job, "a rest", |job| number(&job["tiles_running"]) == 0);
     // The worker may have begun a tile when the coordinator took it back, and such a tile counts.
     worker.kill();
-    let paused = coordinator.until(job, "the end of the worker", |job| number(&job["workers"]) == 0);
-    let fetched = coordinator.run(&format!("fetch {job} --partial -o some.pvs")).code(0);
-    assert!(fetched.err.contains("all other cells show everything"), "{}", fetched.err);
+    let paused = coordinator.until(job, "the end of the worker", |job| {
+        number(&job["workers"]) == 0
+    });
+    let fetched = coordinator
+        .run(&format!("fetch {job} --partial -o some.pvs"))
+        .code(0);
+    assert!(
+        fetched.err.contains("all other cells show everything"),
+        "{}",
+        fetched.err
+    );
     let some = sandbox.dump("some.pvs");
     let info = sandbox.ok("info some.pvs");
     assert!(info.contains("were not done"), "{info}");
@@ -150,7 +225,13 @@ fn what_is_done_of_a_job_can_be_had_and_hides_nothing_else() {
             same += 1;
         }
     }
-    assert_eq!((same, open), (8 * number(&paused["tiles_done"]), 512 - 8 * number(&paused["tiles_done"])));
+    assert_eq!(
+        (same, open),
+        (
+            8 * number(&paused["tiles_done"]),
+            512 - 8 * number(&paused["tiles_done"])
+        )
+    );
 }
 
 #[test]
@@ -165,12 +246,21 @@ fn a_deleted_job_leaves_what_others_need() {
     // Without a worker nothing is added to the files while they are counted.
     worker.kill();
     let open = coordinator.submit(&format!("{JOB} --seed 9"));
-    coordinator.run(&format!("delete {open}")).code(4).says("cannot be deleted");
+    coordinator
+        .run(&format!("delete {open}"))
+        .code(4)
+        .says("cannot be deleted");
     let before = sandbox.files_below("data/blobs");
     coordinator.ok(&format!("delete {a}"));
     assert!(sandbox.files_below("data/blobs") < before);
-    coordinator.run(&format!("show {a}")).code(4).says(&format!("job {a} is not known here"));
-    coordinator.run(&format!("delete {a}")).code(4).says(&format!("job {a} is not known here"));
+    coordinator
+        .run(&format!("show {a}"))
+        .code(4)
+        .says(&format!("job {a} is not known here"));
+    coordinator
+        .run(&format!("delete {a}"))
+        .code(4)
+        .says(&format!("job {a} is not known here"));
     coordinator.ok(&format!("fetch {b} -o again.pvs"));
     assert!(sandbox.read("again.pvs") == kept);
     let _worker = coordinator.worker();
@@ -190,9 +280,13 @@ fn a_watcher_outlives_the_coordinator() {
     let job = coordinator.submit(JOB);
     let watcher = coordinator.start(&format!("watch {job}"));
     let worker = coordinator.worker();
-    coordinator.until(job, "the job's middle", |job| number(&job["tiles_done"]) > 3);
+    coordinator.until(job, "the job's middle", |job| {
+        number(&job["tiles_done"]) > 3
+    });
     coordinator.process.kill();
-    wait_for("the watcher's word", || watcher.err().contains("connecting again").then_some(()));
+    wait_for("the watcher's word", || {
+        watcher.err().contains("connecting again").then_some(())
+    });
     let coordinator = sandbox.coordinator("data", &address);
     let ended = watcher.end().code(0);
     assert!(ended.err.contains("ended as done"), "{}", ended.err);
@@ -206,13 +300,29 @@ fn progress_is_told_to_programs_and_two_bakes_go_on_at_a_time() {
     // Both use the usual data directory of the sandbox's user.
     let long = "rooms.glb --cells 8x8x8 --block-cells 8 --target-error 0.00003 --backend cpu";
     let first = sandbox.start(&format!("bake {long} -o first.pvs --json"));
-    wait_for("the first bake's progress", || first.err().contains("\"event\":\"progress\"").then_some(()));
-    let second = sandbox.run(&format!("bake {JOB} --seed 2 -o second.pvs --json")).code(0);
-    assert!(second.err.contains("is in use by process"), "{}", second.err);
+    wait_for("the first bake's progress", || {
+        first.err().contains("\"event\":\"progress\"").then_some(())
+    });
+    let second = sandbox
+        .run(&format!("bake {JOB} --seed 2 -o second.pvs --json"))
+        .code(0);
+    assert!(
+        second.err.contains("is in use by process"),
+        "{}",
+        second.err
+    );
     let first = first.end().code(0);
-    let events: Vec<Value> =
-        first.err.lines().filter(|l| l.starts_with('{')).map(|l| serde_json::from_str(l).unwrap()).collect();
-    assert!(events.iter().all(|e| e["event"] == "progress" && e["total"] == 64 && e["what"] == "tiles"));
+    let events: Vec<Value> = first
+        .err
+        .lines()
+        .filter(|l| l.starts_with('{'))
+        .map(|l| serde_json::from_str(l).unwrap())
+        .collect();
+    assert!(
+        events
+            .iter()
+            .all(|e| e["event"] == "progress" && e["total"] == 64 && e["what"] == "tiles")
+    );
     assert!(events.is_sorted_by_key(|e| number(&e["done"])));
     assert_eq!(sandbox.dump("second.pvs").cells.len(), 512);
 }

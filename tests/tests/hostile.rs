@@ -3,7 +3,12 @@
 //! `SIGHTLINE_HOSTILE=full` opens 1200 connections with each port and sends 400 MB with each upload, as
 //! `scripts/nightly.sh` does, and prints the measurements.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::fs;
 use std::io::{Read as _, Write as _};
@@ -28,7 +33,11 @@ fn is_full() -> bool {
 
 /// Opens connections that send the beginning of something and no more.
 fn idle(address: &str, count: usize) -> Vec<TcpStream> {
-    let beginnings = [&b""[..], b"GET / HTTP/1.1\r\nHost: x\r\n", b"PRI * HTTP/2.0\r\n"];
+    let beginnings = [
+        &b""[..],
+        b"GET / HTTP/1.1\r\nHost: x\r\n",
+        b"PRI * HTTP/2.0\r\n",
+    ];
     let open = |beginning: &&[u8]| {
         let mut stream = TcpStream::connect(address).unwrap();
         // A connection that was closed for another one accepts no more bytes.
@@ -40,10 +49,17 @@ fn idle(address: &str, count: usize) -> Vec<TcpStream> {
 
 /// Returns the value of a metric.
 fn metric(coordinator: &Coordinator<'_>, name: &str) -> f64 {
-    let address = coordinator.metrics.trim_start_matches("http://").trim_end_matches("/metrics");
+    let address = coordinator
+        .metrics
+        .trim_start_matches("http://")
+        .trim_end_matches("/metrics");
     let text = String::from_utf8(ask(address, "GET /metrics", "", "").1).unwrap();
-    let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
-    line.unwrap_or_else(|| panic!("no metric {name} in {text}")).parse().unwrap()
+    let line = text
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    line.unwrap_or_else(|| panic!("no metric {name} in {text}"))
+        .parse()
+        .unwrap()
 }
 
 #[test]
@@ -61,7 +77,13 @@ fn idle_connections_stop_no_caller_and_no_worker() {
     let _worker = coordinator.worker();
     let job = coordinator.submit(JOB);
     coordinator.until(job, "a tile at work", |job| job["tiles_running"] != 0);
-    let host = |url: &str| url.trim_start_matches("http://").split('/').next().unwrap().to_owned();
+    let host = |url: &str| {
+        url.trim_start_matches("http://")
+            .split('/')
+            .next()
+            .unwrap()
+            .to_owned()
+    };
     let ports = [&coordinator.url, &coordinator.pages, &coordinator.metrics].map(|url| host(url));
     let began = Instant::now();
     let mut streams: Vec<TcpStream> = ports.iter().flat_map(|port| idle(port, count)).collect();
@@ -70,11 +92,20 @@ fn idle_connections_stop_no_caller_and_no_worker() {
     let answered = opened.elapsed();
     assert_eq!(ask(&ports[1], "GET /", "", "").0, 200);
     let result = coordinator.finish(job);
-    assert_same(&result, &sandbox.read("alone.pvs"), "beside idle connections");
-    assert_eq!(metric(&coordinator, "sightline_leases_taken_back_total"), 0.0);
+    assert_same(
+        &result,
+        &sandbox.read("alone.pvs"),
+        "beside idle connections",
+    );
+    assert_eq!(
+        metric(&coordinator, "sightline_leases_taken_back_total"),
+        0.0
+    );
     if is_full() {
         for stream in &mut streams {
-            stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+            stream
+                .set_read_timeout(Some(Duration::from_secs(60)))
+                .unwrap();
             // The end, or a reset.
             let _ = stream.read_to_end(&mut Vec::new());
         }
@@ -91,25 +122,38 @@ fn idle_connections_stop_no_caller_and_no_worker() {
 /// Resident memory of a process in bytes.
 fn resident(process: u32) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .unwrap();
     line.trim().trim_end_matches(" kB").parse::<u64>().unwrap() * 1024
 }
 
 /// Returns the chunks of an upload without the last one.
 fn unfinished(megabytes: u64) -> impl Iterator<Item = v1::Chunk> {
     let total = megabytes * CHUNK_BYTES as u64;
-    (0..megabytes - 1).map(move |i| chunk(vec![i as u8; CHUNK_BYTES], i * CHUNK_BYTES as u64, total))
+    (0..megabytes - 1)
+        .map(move |i| chunk(vec![i as u8; CHUNK_BYTES], i * CHUNK_BYTES as u64, total))
 }
 
 /// Sends a file of a scene but for its last chunk; returns the sender that keeps the call open.
 async fn half_a_file(channel: Channel, megabytes: u64) -> mpsc::Sender<v1::SceneFilePart> {
     use v1::scene_file_part::Part;
     let (send, parts) = mpsc::channel(1);
-    tokio::spawn(async move { JobsClient::new(channel).put_scene_file(ReceiverStream::new(parts)).await });
-    let header = Part::Header(v1::SceneFileHeader { name: "a.obj".to_owned(), rules: Vec::new() });
+    tokio::spawn(async move {
+        JobsClient::new(channel)
+            .put_scene_file(ReceiverStream::new(parts))
+            .await
+    });
+    let header = Part::Header(v1::SceneFileHeader {
+        name: "a.obj".to_owned(),
+        rules: Vec::new(),
+    });
     let parts = std::iter::once(header).chain(unfinished(megabytes).map(Part::Chunk));
     for part in parts {
-        send.send(v1::SceneFilePart { part: Some(part) }).await.unwrap();
+        send.send(v1::SceneFilePart { part: Some(part) })
+            .await
+            .unwrap();
     }
     // All but the last part, which the channel may hold, has been read.
     send.reserve().await.unwrap();
@@ -140,7 +184,11 @@ async fn uploads_without_end_take_little_memory() {
     let coordinator = sandbox.coordinator_with_pages("data");
     let process = coordinator.process.id();
     let before = resident(process);
-    let channel = Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap();
+    let channel = Channel::from_shared(coordinator.url.clone())
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
 
     // Files that do not end, by both ways.
     let files = (0..4).map(|_| tokio::spawn(half_a_file(channel.clone(), megabytes)));
@@ -151,22 +199,47 @@ async fn uploads_without_end_take_little_memory() {
     });
     let posts: Vec<_> = posts.collect();
     // An output under a lease that was never given is rejected before it is sent.
-    let lease = Some(v1::Lease { job: 1, tile: 0, epoch: 1, lease: 7, tag: 0 });
+    let lease = Some(v1::Lease {
+        job: 1,
+        tile: 0,
+        epoch: 1,
+        lease: 7,
+        tag: 0,
+    });
     let bytes = megabytes * CHUNK_BYTES as u64;
-    let header = v1::ResultHeader { lease, digest: vec![7; 32], bytes, ..Default::default() };
+    let header = v1::ResultHeader {
+        lease,
+        digest: vec![7; 32],
+        bytes,
+        ..Default::default()
+    };
     let (send, parts) = mpsc::channel(1);
-    send.send(v1::ResultPart { part: Some(v1::result_part::Part::Header(header)) }).await.unwrap();
-    let refused = WorkersClient::new(channel.clone()).put_result(ReceiverStream::new(parts)).await;
+    send.send(v1::ResultPart {
+        part: Some(v1::result_part::Part::Header(header)),
+    })
+    .await
+    .unwrap();
+    let refused = WorkersClient::new(channel.clone())
+        .put_result(ReceiverStream::new(parts))
+        .await;
     assert_eq!(refused.unwrap_err().code(), Code::FailedPrecondition);
     // A chunk that is named again and again makes no scene.
     let mut jobs = JobsClient::new(channel.clone());
     let piece = chunk(vec![7; CHUNK_BYTES], 0, CHUNK_BYTES as u64);
     let digest = blake3::hash(&piece.data).as_bytes().to_vec();
     jobs.put_chunks(tokio_stream::once(piece)).await.unwrap();
-    let list = v1::PutSceneRequest { chunks: vec![digest; 1500], digest: vec![9; 32] };
+    let list = v1::PutSceneRequest {
+        chunks: vec![digest; 1500],
+        digest: vec![9; 32],
+    };
     let refused = jobs.put_scene(list).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
-    assert!(refused.message().contains("at most 16 times as many are accepted"), "{refused}");
+    assert!(
+        refused
+            .message()
+            .contains("at most 16 times as many are accepted"),
+        "{refused}"
+    );
 
     let mut held = Vec::new();
     for file in files {
@@ -177,14 +250,24 @@ async fn uploads_without_end_take_little_memory() {
         open.push(post.await.unwrap());
     }
     let now = resident(process);
-    eprintln!("resident: {} MB before, {} MB with 6 uploads of {megabytes} MB", before >> 20, now >> 20);
+    eprintln!(
+        "resident: {} MB before, {} MB with 6 uploads of {megabytes} MB",
+        before >> 20,
+        now >> 20
+    );
     if is_full() {
         assert!(now < 600 << 20, "{now} bytes");
     }
     // Less than half of the bytes that were sent.
     let sent = (6 * megabytes) << 20;
-    assert!(now.saturating_sub(before) < sent / 2, "{before} bytes, then {now}");
+    assert!(
+        now.saturating_sub(before) < sent / 2,
+        "{before} bytes, then {now}"
+    );
     // They end with their callers, and the coordinator continues.
     drop((held, open));
-    assert_eq!(tokio::task::block_in_place(|| coordinator.ok("health")).trim(), "serving");
+    assert_eq!(
+        tokio::task::block_in_place(|| coordinator.ok("health")).trim(),
+        "serving"
+    );
 }

@@ -65,15 +65,24 @@ const CORNERS: [f32; 9] = [0., 0., 0., 1., 0., 0., 0., 1., 0.];
 #[test]
 fn the_scenes_the_bad_ones_derive_from_are_good() {
     let sandbox = Sandbox::new();
-    let face: Vec<u8> = [3u32, 0, 1, 2].iter().flat_map(|i| i.to_le_bytes()).collect();
+    let face: Vec<u8> = [3u32, 0, 1, 2]
+        .iter()
+        .flat_map(|i| i.to_le_bytes())
+        .collect();
     let body = [floats(&CORNERS), face].concat();
     sandbox.write("good.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     sandbox.write("good.ply", ply("binary_little_endian", 3, 1, &body));
-    sandbox.write("text.ply", ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"));
+    sandbox.write(
+        "text.ply",
+        ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"),
+    );
     sandbox.write("good.glb", glb(&gltf(3, 36), &floats(&CORNERS)));
     let mut meshes = Vec::new();
     for file in ["good.obj", "good.ply", "text.ply", "good.glb"] {
-        assert_eq!(sandbox.json(&format!("mesh {file} -o mesh.ply"))["triangles"], 1);
+        assert_eq!(
+            sandbox.json(&format!("mesh {file} -o mesh.ply"))["triangles"],
+            1
+        );
         meshes.push(sandbox.read("mesh.ply"));
     }
     assert!(meshes.windows(2).all(|pair| pair[0] == pair[1]));
@@ -110,29 +119,66 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         ("short-vertex.obj", b"v 0 0\nf 1 1 1\n".into()),
         ("short.ply", short(&good_ply)),
         ("short-header.ply", good_ply[..40].to_vec()),
-        ("short-text.ply", ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1")),
+        (
+            "short-text.ply",
+            ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1"),
+        ),
         ("short.gltf", gltf(3, 36)[..60].into()),
         ("short.glb", short(&good_glb)),
         ("short-header.glb", good_glb[..10].to_vec()),
         // Coordinates that are not finite.
         ("nan.obj", b"v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n".into()),
         ("inf.obj", b"v 0 0 0\nv 1e39 0 0\nv 0 1 0\nf 1 2 3\n".into()),
-        ("nan.ply", little(3, 1, &[floats(&nan), face(&[3, 0, 1, 2])].concat())),
+        (
+            "nan.ply",
+            little(3, 1, &[floats(&nan), face(&[3, 0, 1, 2])].concat()),
+        ),
         ("nan.glb", glb(&gltf(3, 36), &floats(&nan))),
         // References to elements that do not exist.
         ("index.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n".into()),
-        ("index-zero.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n".into()),
-        ("index-negative.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n".into()),
-        ("index.ply", little(3, 1, &[floats(&CORNERS), face(&[3, 0, 1, 3])].concat())),
-        ("index-text.ply", ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n")),
-        ("index.glb", glb(&gltf(3, 36).replace("\"mesh\":0", "\"mesh\":7"), &floats(&CORNERS))),
+        (
+            "index-zero.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n".into(),
+        ),
+        (
+            "index-negative.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -4\n".into(),
+        ),
+        (
+            "index.ply",
+            little(3, 1, &[floats(&CORNERS), face(&[3, 0, 1, 3])].concat()),
+        ),
+        (
+            "index-text.ply",
+            ply("ascii", 3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n"),
+        ),
+        (
+            "index.glb",
+            glb(
+                &gltf(3, 36).replace("\"mesh\":0", "\"mesh\":7"),
+                &floats(&CORNERS),
+            ),
+        ),
         // Huge counts without data.
         ("count-vertices.ply", little(4_294_967_295, 1, &body)),
         ("count-faces.ply", little(3, 4_294_967_295, &body)),
         ("count-larger.ply", little(u64::MAX, 1, &body)),
-        ("count-list.ply", little(3, 1, &[floats(&CORNERS), face(&[u32::MAX, 0, 1, 2])].concat())),
-        ("count.glb", glb(&gltf(4_294_967_295, 36), &floats(&CORNERS))),
-        ("count-view.glb", glb(&gltf(3, 4_294_967_295), &floats(&CORNERS))),
+        (
+            "count-list.ply",
+            little(
+                3,
+                1,
+                &[floats(&CORNERS), face(&[u32::MAX, 0, 1, 2])].concat(),
+            ),
+        ),
+        (
+            "count.glb",
+            glb(&gltf(4_294_967_295, 36), &floats(&CORNERS)),
+        ),
+        (
+            "count-view.glb",
+            glb(&gltf(3, 4_294_967_295), &floats(&CORNERS)),
+        ),
         ("count-total.glb", long_glb),
         ("count-chunk.glb", long_chunk),
         // Files with the extension of another format, and files that are no scene.
@@ -142,13 +188,20 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         ("wrong.gltf", good_glb),
         ("picture.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".into()),
         ("archive.glb", b"PK\x03\x04 and so on".into()),
-        ("noise.obj", (0..2000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect()),
+        (
+            "noise.obj",
+            (0..2000u32)
+                .map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8)
+                .collect(),
+        ),
     ];
     let sandbox = Sandbox::new();
     for (name, bytes) in &table {
         sandbox.write(name, bytes);
-        for command in [format!("mesh {name} -o out.ply"), format!("bake {name} -o out.pvs --data-dir data")]
-        {
+        for command in [
+            format!("mesh {name} -o out.ply"),
+            format!("bake {name} -o out.pvs --data-dir data"),
+        ] {
             refused(&sandbox, &command, name);
         }
     }
@@ -157,7 +210,10 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
         refused(&sandbox, &format!("mesh {name} -o out.ply"), name);
     }
     for output in ["out.ply", "out.pvs", "data"] {
-        assert!(!sandbox.path(output).exists(), "{output} was begun for a scene that cannot be used");
+        assert!(
+            !sandbox.path(output).exists(),
+            "{output} was begun for a scene that cannot be used"
+        );
     }
 }
 
@@ -167,11 +223,17 @@ fn bad_scenes_are_refused_by_name_and_with_a_remedy() {
 fn refused(sandbox: &Sandbox, command: &str, file: &str) {
     let run = sandbox.run(command).code(3);
     let said = run.err.trim();
-    let Some((reason, remedy)) = said.strip_prefix("error: ").and_then(|s| s.rsplit_once("; ")) else {
+    let Some((reason, remedy)) = said
+        .strip_prefix("error: ")
+        .and_then(|s| s.rsplit_once("; "))
+    else {
         panic!("sightline {command} gives no remedy: {said}");
     };
     assert!(reason.starts_with(&format!("{file}: ")), "{said}");
-    assert!(reason.len() > file.len() + 10 && remedy.len() > 10, "{said}");
+    assert!(
+        reason.len() > file.len() + 10 && remedy.len() > 10,
+        "{said}"
+    );
 }
 
 #[test]
@@ -233,7 +295,11 @@ fn wrong_usage_is_told_from_bad_input() {
     ];
     for line in table {
         let run = sandbox.run(line).code(2);
-        assert!(run.err.len() > 20, "sightline {line} says too little: {}", run.err);
+        assert!(
+            run.err.len() > 20,
+            "sightline {line} says too little: {}",
+            run.err
+        );
         assert_eq!(run.out, "", "sightline {line}");
     }
     assert!(!sandbox.path("out.pvs").exists() && !sandbox.path("out.glb").exists());
@@ -272,7 +338,15 @@ fn bake_refuses_scenes_that_no_tracer_supports() {
     let sandbox = Sandbox::new();
     let wide = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1e19 0 0\nf 1 2 3\nf 1 2 4\n";
     sandbox.write("wide.obj", wide);
-    sandbox.run("bake wide.obj -o x.pvs").code(3).says("wide.obj: triangle 1, vertex 2").says("±1e9");
+    sandbox
+        .run("bake wide.obj -o x.pvs")
+        .code(3)
+        .says("wide.obj: triangle 1, vertex 2")
+        .says("±1e9");
     sandbox.write("tiny.obj", "v 0 0 0\nv 1e-12 0 0\nv 0 1e-12 0\nf 1 2 3\n");
-    sandbox.run("bake tiny.obj -o x.pvs --backend cpu").code(3).says("tiny.obj").says("1e-9");
+    sandbox
+        .run("bake tiny.obj -o x.pvs --backend cpu")
+        .code(3)
+        .says("tiny.obj")
+        .says("1e-9");
 }

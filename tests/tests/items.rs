@@ -1,6 +1,11 @@
 //! Results that name clusters or objects, the promise of a least share, and contributions.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::collections::BTreeSet;
 
@@ -17,14 +22,28 @@ fn town() -> Sandbox {
 
 fn sets(sandbox: &Sandbox, file: &str, items: &str) -> Vec<BTreeSet<u64>> {
     let text = sandbox.ok(&format!("dump {file} --items {items}"));
-    let lines = text.lines().skip(1).map(|line| serde_json::from_str::<Value>(line).unwrap());
-    lines.map(|l| l["visible"].as_array().unwrap().iter().map(|id| id.as_u64().unwrap()).collect()).collect()
+    let lines = text
+        .lines()
+        .skip(1)
+        .map(|line| serde_json::from_str::<Value>(line).unwrap());
+    lines
+        .map(|l| {
+            l["visible"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|id| id.as_u64().unwrap())
+                .collect()
+        })
+        .collect()
 }
 
 #[test]
 fn objects_and_clusters_are_those_of_the_exact_result() {
     let sandbox = town();
-    sandbox.ok(&format!("bake rooms.glb -o exact.pvs --data-dir e {CELLS} --method exact"));
+    sandbox.ok(&format!(
+        "bake rooms.glb -o exact.pvs --data-dir e {CELLS} --method exact"
+    ));
     let exact = sets(&sandbox, "exact.pvs", "objects");
     let triangles = sets(&sandbox, "exact.pvs", "triangles");
     for (name, flags) in [
@@ -34,9 +53,14 @@ fn objects_and_clusters_are_those_of_the_exact_result() {
         ("cubes", "--sampler cubes --resolution 32 --backend cpu"),
     ] {
         let job = format!("bake rooms.glb {CELLS} --granularity objects {flags}");
-        sandbox.ok(&format!("{job} -o {name}.pvs --data-dir {name} --workers 1"));
+        sandbox.ok(&format!(
+            "{job} -o {name}.pvs --data-dir {name} --workers 1"
+        ));
         let found = sets(&sandbox, &format!("{name}.pvs"), "objects");
-        assert!(found.iter().zip(&exact).all(|(f, e)| f.is_subset(e)), "{name}");
+        assert!(
+            found.iter().zip(&exact).all(|(f, e)| f.is_subset(e)),
+            "{name}"
+        );
         // All triangles of the objects are drawn.
         let drawn = sets(&sandbox, &format!("{name}.pvs"), "triangles");
         assert!(drawn.iter().zip(&found).all(|(t, o)| t.len() >= o.len()));
@@ -44,28 +68,51 @@ fn objects_and_clusters_are_those_of_the_exact_result() {
     sandbox.ok(&format!(
         "bake rooms.glb {CELLS} --granularity objects -o b.pvs --data-dir b --workers 4 --backend cpu"
     ));
-    assert_same(&sandbox.read("lines.pvs"), &sandbox.read("b.pvs"), "one worker and four");
-    sandbox.ok(&format!("bake rooms.glb {CELLS} --granularity clusters -o clusters.pvs --data-dir c"));
+    assert_same(
+        &sandbox.read("lines.pvs"),
+        &sandbox.read("b.pvs"),
+        "one worker and four",
+    );
+    sandbox.ok(&format!(
+        "bake rooms.glb {CELLS} --granularity clusters -o clusters.pvs --data-dir c"
+    ));
     let text = sandbox.ok("dump clusters.pvs --items clusters");
     let header: Value = serde_json::from_str(text.lines().next().unwrap()).unwrap();
     let clusters: Vec<Vec<u64>> = serde_json::from_value(header["clusters"].clone()).unwrap();
     assert!(clusters.iter().all(|c| (1..=128).contains(&c.len())));
     let mut all: Vec<u64> = clusters.iter().flatten().copied().collect();
     all.sort_unstable();
-    assert!(all.windows(2).all(|w| w[0] < w[1]), "no triangle is in two clusters");
+    assert!(
+        all.windows(2).all(|w| w[0] < w[1]),
+        "no triangle is in two clusters"
+    );
     // What is drawn are the clusters, and a cluster is in a set only if the exact set has a part of it.
     let drawn = sets(&sandbox, "clusters.pvs", "triangles");
-    for ((of, drawn), exact) in sets(&sandbox, "clusters.pvs", "clusters").iter().zip(&drawn).zip(&triangles)
+    for ((of, drawn), exact) in sets(&sandbox, "clusters.pvs", "clusters")
+        .iter()
+        .zip(&drawn)
+        .zip(&triangles)
     {
-        let expected: BTreeSet<u64> = of.iter().flat_map(|c| clusters[*c as usize].clone()).collect();
+        let expected: BTreeSet<u64> = of
+            .iter()
+            .flat_map(|c| clusters[*c as usize].clone())
+            .collect();
         assert_eq!(&expected, drawn);
-        assert!(of.iter().all(|c| clusters[*c as usize].iter().any(|t| exact.contains(t))));
+        assert!(
+            of.iter()
+                .all(|c| clusters[*c as usize].iter().any(|t| exact.contains(t)))
+        );
     }
     let report = sandbox.json("measure rooms.glb clusters.pvs --viewpoints 30 --resolution 32");
     assert!(report["mean_error"].as_f64().unwrap() < 2e-3, "{report}");
-    sandbox.run("dump lines.pvs --items clusters").code(3).says("--granularity clusters");
     sandbox
-        .run(&format!("bake rooms.glb -o x.pvs {CELLS} --granularity objects --method exact"))
+        .run("dump lines.pvs --items clusters")
+        .code(3)
+        .says("--granularity clusters");
+    sandbox
+        .run(&format!(
+            "bake rooms.glb -o x.pvs {CELLS} --granularity objects --method exact"
+        ))
         .code(2)
         .says("--method aggressive");
 }
@@ -76,15 +123,27 @@ fn bake_of_objects_finds_small_ones() {
     sandbox.ok("generate town --triangles 60000 -o town.glb");
     let job = "bake town.glb --cells 4x4x1 --target-error 0.001 --backend cpu";
     sandbox.ok(&format!("{job} -o triangles.pvs --data-dir t"));
-    sandbox.ok(&format!("{job} -o objects.pvs --data-dir o --granularity objects"));
+    sandbox.ok(&format!(
+        "{job} -o objects.pvs --data-dir o --granularity objects"
+    ));
     let [triangles, objects] =
         ["triangles", "objects"].map(|name| sets(&sandbox, &format!("{name}.pvs"), "objects"));
     let count = |sets: &[BTreeSet<u64>]| sets.iter().map(BTreeSet::len).sum::<usize>();
-    let both: usize = objects.iter().zip(&triangles).map(|(o, t)| o.intersection(t).count()).sum();
+    let both: usize = objects
+        .iter()
+        .zip(&triangles)
+        .map(|(o, t)| o.intersection(t).count())
+        .sum();
     let (objects, triangles) = (count(&objects), count(&triangles));
     // Two seeds of the bake of triangles have 88 % in common.
-    assert!(triangles > 500 && both * 10 > triangles * 8, "{both} of {triangles}");
-    assert!(objects * 10 > triangles * 9, "{objects} instead of {triangles}");
+    assert!(
+        triangles > 500 && both * 10 > triangles * 8,
+        "{both} of {triangles}"
+    );
+    assert!(
+        objects * 10 > triangles * 9,
+        "{objects} instead of {triangles}"
+    );
 }
 
 #[test]
@@ -92,8 +151,9 @@ fn items_of_the_least_share_are_missed_less_often_than_promised() {
     const SHARE: f64 = 0.005;
     let sandbox = town();
     // The share of each object in each cell, from many lines.
-    sandbox
-        .ok(&format!("bake rooms.glb {CELLS} --granularity objects --contributions -o all.pvs --data-dir a"));
+    sandbox.ok(&format!(
+        "bake rooms.glb {CELLS} --granularity objects --contributions -o all.pvs --data-dir a"
+    ));
     let text = sandbox.ok("dump all.pvs --items objects --contributions");
     let large: Vec<BTreeSet<u64>> = text
         .lines()
@@ -104,7 +164,10 @@ fn items_of_the_least_share_are_missed_less_often_than_promised() {
             let shares = line["contributions"].as_array().unwrap().iter();
             // Surely above the share: the least mean that its level stands for.
             let above = |c: &Value| c["mean"][0].as_f64().unwrap() >= SHARE;
-            ids.zip(shares).filter(|(_, c)| above(c)).map(|(id, _)| id.as_u64().unwrap()).collect()
+            ids.zip(shares)
+                .filter(|(_, c)| above(c))
+                .map(|(id, _)| id.as_u64().unwrap())
+                .collect()
         })
         .collect();
     let (mut pairs, mut missed) = (0, 0);
@@ -129,24 +192,55 @@ fn items_of_the_least_share_are_missed_less_often_than_promised() {
         let other: BTreeSet<u64> = found.0.symmetric_difference(found.1).copied().collect();
         assert!(other.intersection(large).count() * 20 <= large.len());
     }
-    sandbox.run(&format!("bake rooms.glb -o x.pvs {CELLS} --min-share 0.1 --sampler guided")).code(2);
+    sandbox
+        .run(&format!(
+            "bake rooms.glb -o x.pvs {CELLS} --min-share 0.1 --sampler guided"
+        ))
+        .code(2);
 }
 
 #[test]
 fn contributions_are_shares_of_the_view() {
     let sandbox = town();
-    sandbox.ok(&format!("bake rooms.glb {CELLS} --contributions -o t.pvs --data-dir t"));
+    sandbox.ok(&format!(
+        "bake rooms.glb {CELLS} --contributions -o t.pvs --data-dir t"
+    ));
     sandbox.ok(&format!("bake rooms.glb {CELLS} -o plain.pvs --data-dir p"));
-    assert_eq!(sets(&sandbox, "t.pvs", "triangles"), sets(&sandbox, "plain.pvs", "triangles"));
+    assert_eq!(
+        sets(&sandbox, "t.pvs", "triangles"),
+        sets(&sandbox, "plain.pvs", "triangles")
+    );
     let text = sandbox.ok("dump t.pvs --contributions");
-    for line in text.lines().skip(1).map(|l| serde_json::from_str::<Value>(l).unwrap()) {
+    for line in text
+        .lines()
+        .skip(1)
+        .map(|l| serde_json::from_str::<Value>(l).unwrap())
+    {
         let all = line["contributions"].as_array().unwrap();
         assert_eq!(all.len(), line["visible"].as_array().unwrap().len());
-        let sum = |of: &str, end: usize| all.iter().map(|c| c[of][end].as_f64().unwrap()).sum::<f64>();
+        let sum = |of: &str, end: usize| {
+            all.iter()
+                .map(|c| c[of][end].as_f64().unwrap())
+                .sum::<f64>()
+        };
         // The rooms are closed but for windows: nearly all directions meet something, and none meets two.
-        assert!(sum("mean", 0) <= 1.0 && sum("mean", 1) >= 0.5, "{} {}", sum("mean", 0), sum("mean", 1));
-        assert!(all.iter().all(|c| c["mean"][0].as_f64() <= c["greatest"][1].as_f64()));
+        assert!(
+            sum("mean", 0) <= 1.0 && sum("mean", 1) >= 0.5,
+            "{} {}",
+            sum("mean", 0),
+            sum("mean", 1)
+        );
+        assert!(
+            all.iter()
+                .all(|c| c["mean"][0].as_f64() <= c["greatest"][1].as_f64())
+        );
     }
-    sandbox.run("dump plain.pvs --contributions").code(3).says("bake with --contributions");
-    sandbox.run("dump t.pvs --items objects --contributions").code(3).says("--granularity objects");
+    sandbox
+        .run("dump plain.pvs --contributions")
+        .code(3)
+        .says("bake with --contributions");
+    sandbox
+        .run("dump t.pvs --items objects --contributions")
+        .code(3)
+        .says("--granularity objects");
 }

@@ -1,6 +1,11 @@
 //! What blocks and what shows, from the file or the flags to results, measures and proofs.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -86,18 +91,28 @@ fn sandbox() -> (Sandbox, u64) {
 }
 
 fn shown(dump: &Dump) -> Vec<BTreeSet<u64>> {
-    dump.cells.iter().map(|c| c.visible.iter().copied().collect()).collect()
+    dump.cells
+        .iter()
+        .map(|c| c.visible.iter().copied().collect())
+        .collect()
 }
 
 #[test]
 fn behind_glass_everything_is_seen_by_every_method_sampler_and_backend() {
     let (sandbox, before) = sandbox();
     let bake = |name: &str, flags: &str| {
-        sandbox.run(&format!("bake {JOB} -o {name}.pvs --data-dir {name} {flags}")).code(0);
+        sandbox
+            .run(&format!(
+                "bake {JOB} -o {name}.pvs --data-dir {name} {flags}"
+            ))
+            .code(0);
         shown(&sandbox.dump(&format!("{name}.pvs")))
     };
     let exact = bake("exact", "--method exact --certificates");
-    assert!(exact.iter().all(|cell| cell.iter().any(|t| *t >= before)), "the crate is seen");
+    assert!(
+        exact.iter().all(|cell| cell.iter().any(|t| *t >= before)),
+        "the crate is seen"
+    );
     sandbox.ok("verify room.obj exact.pvs");
     let ways = [
         ("lines", "--backend cpu"),
@@ -112,66 +127,124 @@ fn behind_glass_everything_is_seen_by_every_method_sampler_and_backend() {
         let sampled = bake(name, flags);
         for (cell, (sampled, exact)) in sampled.iter().zip(&exact).enumerate() {
             let extra: Vec<_> = sampled.difference(exact).collect();
-            assert!(extra.is_empty(), "{name}, cell {cell}: {extra:?} are hidden");
+            assert!(
+                extra.is_empty(),
+                "{name}, cell {cell}: {extra:?} are hidden"
+            );
             let missed: Vec<_> = exact.difference(sampled).collect();
             // Everything here is large; a coarse bound and coarse cubes may miss the crate's thin sides.
             let coarse = name.starts_with("cubes") || name == "bound";
-            assert!(missed.is_empty() || coarse, "{name}, cell {cell}: {missed:?} missed");
-            assert!(sampled.iter().any(|t| *t >= before), "{name}: the crate is seen");
+            assert!(
+                missed.is_empty() || coarse,
+                "{name}, cell {cell}: {missed:?} missed"
+            );
+            assert!(
+                sampled.iter().any(|t| *t >= before),
+                "{name}: the crate is seen"
+            );
         }
-        let report = sandbox.json(&format!("measure room.obj {name}.pvs --viewpoints 8 --resolution 64"));
-        assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{name}: {report}");
+        let report = sandbox.json(&format!(
+            "measure room.obj {name}.pvs --viewpoints 8 --resolution 64"
+        ));
+        assert!(
+            report["mean_error"].as_f64().unwrap() < 1e-3,
+            "{name}: {report}"
+        );
     }
     // The same file with all opaque, by a flag: nothing behind the window, and the measure sees no more.
     let opaque = bake("opaque", "--opaque");
-    assert!(opaque.iter().all(|cell| cell.iter().all(|t| *t < before)), "the crate is hidden");
-    assert!(opaque.iter().zip(&exact).all(|(o, e)| o.is_subset(e)), "see-through never hides");
+    assert!(
+        opaque.iter().all(|cell| cell.iter().all(|t| *t < before)),
+        "the crate is hidden"
+    );
+    assert!(
+        opaque.iter().zip(&exact).all(|(o, e)| o.is_subset(e)),
+        "see-through never hides"
+    );
     let report = sandbox.json("measure room.obj opaque.pvs --viewpoints 8 --resolution 64");
-    assert_eq!(report["mean_error"], 0.0, "measured with the flags of the result");
+    assert_eq!(
+        report["mean_error"], 0.0,
+        "measured with the flags of the result"
+    );
 }
 
 #[test]
 fn flags_go_before_the_file_and_results_name_them() {
     let (sandbox, before) = sandbox();
     let exact = |name: &str, flags: &str| {
-        let line =
-            format!("bake {JOB} -o {name}.pvs --data-dir {name} --method exact --certificates {flags}");
+        let line = format!(
+            "bake {JOB} -o {name}.pvs --data-dir {name} --method exact --certificates {flags}"
+        );
         let run = sandbox.run(&line).code(0);
         (shown(&sandbox.dump(&format!("{name}.pvs"))), run.err)
     };
     // An occluder-only wall blocks and is in no set; a moving pane neither blocks nor is in one.
-    let (sets, said) = exact("proxy", "--occluder-only divider --moving pane* --see-through second*");
-    assert!(said.contains("occluder-only: 8 triangles (8 --occluder-only divider)"), "{said}");
+    let (sets, said) = exact(
+        "proxy",
+        "--occluder-only divider --moving pane* --see-through second*",
+    );
+    assert!(
+        said.contains("occluder-only: 8 triangles (8 --occluder-only divider)"),
+        "{said}"
+    );
     for set in &sets {
-        assert!((12..20).all(|t| !set.contains(&t)), "the divider is in no set");
+        assert!(
+            (12..20).all(|t| !set.contains(&t)),
+            "the divider is in no set"
+        );
         assert!((20..22).all(|t| !set.contains(&t)), "nor the moving pane");
-        assert!(set.iter().any(|t| *t >= before), "the crate is seen through the window");
+        assert!(
+            set.iter().any(|t| *t >= before),
+            "the crate is seen through the window"
+        );
     }
     sandbox.ok("verify room.obj proxy.pvs");
     let why = sandbox.ok("query proxy.pvs 1 1 1 --why 13 --scene room.obj");
-    assert!(why.contains("in no set, because it is occluder-only"), "{why}");
+    assert!(
+        why.contains("in no set, because it is occluder-only"),
+        "{why}"
+    );
     let info = sandbox.json("info proxy.pvs");
     assert_eq!(info["info"]["kinds"]["rules"][1]["glob"], "pane*", "{info}");
     // Other flags are another scene, and a result of it is refused.
-    sandbox.run("verify room.obj proxy.pvs --opaque").code(3).says("other flags");
+    sandbox
+        .run("verify room.obj proxy.pvs --opaque")
+        .code(3)
+        .says("other flags");
     // A moving crate is in no set; a glob without a match is a warning with names like it.
     let (sets, said) = exact("moving", "--moving crate --see-through glas");
     assert!(sets.iter().all(|set| set.iter().all(|t| *t < before)));
-    assert!(said.contains("\"glas\" matches no object and no material; names like it: glass"), "{said}");
-    sandbox.run(&format!("bake {JOB} -o x.pvs --see-through a[")).code(2).says("a[");
+    assert!(
+        said.contains("\"glas\" matches no object and no material; names like it: glass"),
+        "{said}"
+    );
+    sandbox
+        .run(&format!("bake {JOB} -o x.pvs --see-through a["))
+        .code(2)
+        .says("a[");
     // Queries between polygons pass glass, unless a flag says otherwise.
     let triangle = |x: f32| format!("[[{x},1.9,1.9],[{x},2.1,1.9],[{x},2.1,2.1]]");
-    sandbox.write("q.jsonl", format!(r#"{{"id":1,"a":{},"b":{}}}"#, triangle(1.0), triangle(5.9)));
+    sandbox.write(
+        "q.jsonl",
+        format!(r#"{{"id":1,"a":{},"b":{}}}"#, triangle(1.0), triangle(5.9)),
+    );
     let line = "sightlines room.obj --queries q.jsonl --check";
     assert!(sandbox.ok(line).contains("\"visible\""));
-    assert!(sandbox.ok(&format!("{line} --opaque")).contains("\"hidden\""));
+    assert!(
+        sandbox
+            .ok(&format!("{line} --opaque"))
+            .contains("\"hidden\"")
+    );
 }
 
 /// Returns the JSON and the binary chunk of a GLB.
 fn parts(glb: &[u8]) -> (Value, Vec<u8>) {
     let length = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
     let end = 20 + length(12);
-    (serde_json::from_slice(&glb[20..end]).unwrap(), glb[end + 8..end + 8 + length(end)].to_vec())
+    (
+        serde_json::from_slice(&glb[20..end]).unwrap(),
+        glb[end + 8..end + 8 + length(end)].to_vec(),
+    )
 }
 
 /// Writes a GLB of JSON and a binary chunk, whose length is a multiple of four.
@@ -196,24 +269,42 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
     let nodes = json["nodes"].as_array_mut().unwrap();
     let house = nodes.iter_mut().find(|n| n["name"] == "house 0").unwrap();
     house["extensions"] = json!({"KHR_node_visibility": {"visible": false}});
-    for (list, name) in [("extensionsUsed", "used.glb"), ("extensionsRequired", "required.glb")] {
+    for (list, name) in [
+        ("extensionsUsed", "used.glb"),
+        ("extensionsRequired", "required.glb"),
+    ] {
         let mut json = json.clone();
         json[list] = json!(["KHR_node_visibility"]);
         sandbox.write(name, glb(&json, &binary));
     }
     let bake = |scene: &str, name: &str, flags: &str| {
-        let backend = if flags.contains("portals") { "" } else { "--backend cpu" };
+        let backend = if flags.contains("portals") {
+            ""
+        } else {
+            "--backend cpu"
+        };
         let job = format!("--cells 2x1x2 {backend}");
-        let run = sandbox.run(&format!("bake {scene} -o {name}.pvs {job} {flags}")).code(0);
+        let run = sandbox
+            .run(&format!("bake {scene} -o {name}.pvs {job} {flags}"))
+            .code(0);
         (sandbox.dump(&format!("{name}.pvs")), run.err)
     };
     let (plain, _) = bake("town.glb", "plain", "--method exact");
     let info = sandbox.json("info plain.pvs");
-    let of =
-        |o: &Value| o["first"].as_u64().unwrap()..o["first"].as_u64().unwrap() + o["count"].as_u64().unwrap();
+    let of = |o: &Value| {
+        o["first"].as_u64().unwrap()..o["first"].as_u64().unwrap() + o["count"].as_u64().unwrap()
+    };
     let objects = info["objects"].as_array().unwrap();
-    let ids = of(objects.iter().find(|o| o["name"].as_str().unwrap().starts_with("house 0/")).unwrap());
-    assert!(shown(&plain).iter().any(|set| set.range(ids.clone()).next().is_some()), "the house is seen");
+    let ids = of(objects
+        .iter()
+        .find(|o| o["name"].as_str().unwrap().starts_with("house 0/"))
+        .unwrap());
+    assert!(
+        shown(&plain)
+            .iter()
+            .any(|set| set.range(ids.clone()).next().is_some()),
+        "the house is seen"
+    );
     let mut more = 0;
     for (method, flags) in [
         ("exact", "--method exact --certificates"),
@@ -222,9 +313,17 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
         ("portals", "--method portals"),
     ] {
         let (hidden, said) = bake("used.glb", "hidden", flags);
-        assert!(said.contains(&format!("hidden: {} triangles", ids.end - ids.start)), "{said}");
+        assert!(
+            said.contains(&format!("hidden: {} triangles", ids.end - ids.start)),
+            "{said}"
+        );
         assert!(!said.contains("the file uses the extension"), "{said}");
-        assert!(shown(&hidden).iter().all(|set| set.range(ids.clone()).next().is_none()), "{method}");
+        assert!(
+            shown(&hidden)
+                .iter()
+                .all(|set| set.range(ids.clone()).next().is_none()),
+            "{method}"
+        );
         // As an object that neither blocks nor shows, by a flag.
         let (moving, _) = bake("town.glb", "moving", &format!("{flags} --moving house?0"));
         assert_eq!(shown(&hidden), shown(&moving), "{method}");
@@ -232,20 +331,29 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
         assert_eq!(shown(&hidden), shown(&required), "{method}");
         if method == "exact" {
             for (with, without) in shown(&plain).iter().zip(shown(&hidden)) {
-                let lost: Vec<_> = with.difference(&without).filter(|t| !ids.contains(t)).collect();
+                let lost: Vec<_> = with
+                    .difference(&without)
+                    .filter(|t| !ids.contains(t))
+                    .collect();
                 assert!(lost.is_empty(), "{lost:?} are hidden by a hidden node");
                 more += without.difference(with).count();
             }
             sandbox.ok("verify used.glb hidden.pvs");
             let report = sandbox.json("measure used.glb hidden.pvs --viewpoints 8 --resolution 64");
             assert_eq!(report["mean_error"], 0.0, "{report}");
-            let why = sandbox.ok(&format!("query hidden.pvs --cell 0 --why {} --scene used.glb", ids.start));
+            let why = sandbox.ok(&format!(
+                "query hidden.pvs --cell 0 --why {} --scene used.glb",
+                ids.start
+            ));
             assert!(why.contains("in no set, because it is hidden"), "{why}");
             // Ids and the list of objects stay.
             assert_eq!(sandbox.json("info hidden.pvs")["objects"], info["objects"]);
             sandbox.ok("export hidden.pvs --format gltf --scene used.glb -o seen.glb");
             let (seen, _) = parts(&sandbox.read("seen.glb"));
-            assert_eq!(seen["nodes"], json["nodes"], "the file still hides the node");
+            assert_eq!(
+                seen["nodes"], json["nodes"],
+                "the file still hides the node"
+            );
             let used = json!(["KHR_node_visibility", "SIGHTLINE_visibility"]);
             assert_eq!(seen["extensionsUsed"], used);
         } else if method == "lines" {
@@ -253,14 +361,21 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
             assert!(report["mean_error"].as_f64().unwrap() < 1e-3, "{report}");
         }
     }
-    assert!(more > 0, "the house hides something, so without it more is seen");
+    assert!(
+        more > 0,
+        "the house hides something, so without it more is seen"
+    );
     // From a point, too.
     sandbox.ok("tetra used.glb -o used.tets");
     let [x, y, z] = [0, 1, 2].map(|a| info["view_box"]["max"][a].as_f64().unwrap() / 2.0 + 0.013);
     sandbox.write("p.jsonl", format!("{{\"id\":1,\"point\":[{x},{y},{z}]}}\n"));
-    let seen: Value = serde_json::from_str(sandbox.ok("look used.tets --points p.jsonl").trim()).unwrap();
+    let seen: Value =
+        serde_json::from_str(sandbox.ok("look used.tets --points p.jsonl").trim()).unwrap();
     let visible = seen["visible"].as_array().unwrap();
-    assert!(!visible.is_empty() && visible.iter().all(|t| !ids.contains(&t.as_u64().unwrap())), "{seen}");
+    assert!(
+        !visible.is_empty() && visible.iter().all(|t| !ids.contains(&t.as_u64().unwrap())),
+        "{seen}"
+    );
 }
 
 #[test]
@@ -271,7 +386,11 @@ fn a_cluster_gives_the_bytes_of_a_bake() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let worker = coordinator.worker();
     let job = coordinator.submit(&format!("{JOB} {flags}"));
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "cluster");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "cluster",
+    );
     drop(worker);
 }
 
@@ -280,9 +399,15 @@ fn an_opaque_scene_says_so_and_a_missing_library_is_a_warning() {
     let (sandbox, _) = sandbox();
     std::fs::remove_file(sandbox.path("room.mtl")).unwrap();
     sandbox
-        .run(&format!("bake {JOB} -o a.pvs --data-dir d --target-error 0.05"))
+        .run(&format!(
+            "bake {JOB} -o a.pvs --data-dir d --target-error 0.05"
+        ))
         .code(0)
         .says("room.mtl\" is missing")
         .says("all triangles are opaque");
-    assert!(sandbox.ok("info a.pvs").contains("all triangles are opaque"));
+    assert!(
+        sandbox
+            .ok("info a.pvs")
+            .contains("all triangles are opaque")
+    );
 }

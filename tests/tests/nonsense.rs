@@ -26,7 +26,13 @@ const JOB: &str = "maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --back
 
 fn chunk(data: &[u8]) -> v1::Chunk {
     let (crc32c, total) = (crc32c::crc32c(data), data.len() as u64);
-    v1::Chunk { data: data.to_vec(), crc32c, offset: 0, total, address: None }
+    v1::Chunk {
+        data: data.to_vec(),
+        crc32c,
+        offset: 0,
+        total,
+        address: None,
+    }
 }
 
 /// Bytes as they are, in place of messages.
@@ -92,14 +98,23 @@ struct Call {
 /// Paths of all calls.
 fn calls() -> Vec<String> {
     let mut calls = Vec::new();
-    for file in Descriptors::decode(sightline_proto::DESCRIPTORS).unwrap().files {
+    for file in Descriptors::decode(sightline_proto::DESCRIPTORS)
+        .unwrap()
+        .files
+    {
         for service in file.services {
             calls.extend(
-                service.calls.iter().map(|c| format!("/{}.{}/{}", file.package, service.name, c.name)),
+                service
+                    .calls
+                    .iter()
+                    .map(|c| format!("/{}.{}/{}", file.package, service.name, c.name)),
             );
         }
     }
-    assert!(calls.len() >= 16 && calls.contains(&"/sightline.v1.Workers/PutResult".to_owned()), "{calls:?}");
+    assert!(
+        calls.len() >= 16 && calls.contains(&"/sightline.v1.Workers/PutResult".to_owned()),
+        "{calls:?}"
+    );
     calls
 }
 
@@ -107,14 +122,50 @@ fn calls() -> Vec<String> {
 fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     use v1::worker_message::Message;
     let digest = spec.scene.clone();
-    let held = v1::Lease { job, tile: 3, epoch: 1, lease: 1, tag: 7 };
+    let held = v1::Lease {
+        job,
+        tile: 3,
+        epoch: 1,
+        lease: 1,
+        tag: 7,
+    };
     let lease = Some(held);
-    let worker = |message| ("Workers/Work", v1::WorkerMessage { message: Some(message) }.encode_to_vec());
-    let header = v1::ResultHeader { lease, digest: digest.clone(), bytes: 9, ..Default::default() };
-    let scene = v1::FetchSceneRequest { digest: digest.clone(), direct: true, fell_back: true };
-    let pack = v1::FetchPackRequest { digest: digest.clone(), direct: true, fell_back: false };
-    let stage = v1::StageResultRequest { lease, sha256: digest.clone(), bytes: 9 };
-    let result = |part| ("Workers/PutResult", v1::ResultPart { part: Some(part) }.encode_to_vec());
+    let worker = |message| {
+        (
+            "Workers/Work",
+            v1::WorkerMessage {
+                message: Some(message),
+            }
+            .encode_to_vec(),
+        )
+    };
+    let header = v1::ResultHeader {
+        lease,
+        digest: digest.clone(),
+        bytes: 9,
+        ..Default::default()
+    };
+    let scene = v1::FetchSceneRequest {
+        digest: digest.clone(),
+        direct: true,
+        fell_back: true,
+    };
+    let pack = v1::FetchPackRequest {
+        digest: digest.clone(),
+        direct: true,
+        fell_back: false,
+    };
+    let stage = v1::StageResultRequest {
+        lease,
+        sha256: digest.clone(),
+        bytes: 9,
+    };
+    let result = |part| {
+        (
+            "Workers/PutResult",
+            v1::ResultPart { part: Some(part) }.encode_to_vec(),
+        )
+    };
     let hello = v1::Hello {
         name: "fuzz".to_owned(),
         profiles: vec!["cpu/none".to_owned()],
@@ -135,24 +186,49 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
     let show = v1::ShowRequest { job }.encode_to_vec();
     let timed = v1::Timed {
         job,
-        times: vec![v1::ProfileTime { profile: "cpu/none".to_owned(), seconds_per_cube: 0.5 }],
+        times: vec![v1::ProfileTime {
+            profile: "cpu/none".to_owned(),
+            seconds_per_cube: 0.5,
+        }],
     };
-    let failed = v1::TileFailed { lease, reason: "fuzz".to_owned(), infrastructure: false };
+    let failed = v1::TileFailed {
+        lease,
+        reason: "fuzz".to_owned(),
+        infrastructure: false,
+    };
     vec![
-        ("Jobs/MissingChunks", v1::MissingChunksRequest { digests: vec![digest.clone(); 3] }.encode_to_vec()),
+        (
+            "Jobs/MissingChunks",
+            v1::MissingChunksRequest {
+                digests: vec![digest.clone(); 3],
+            }
+            .encode_to_vec(),
+        ),
         ("Jobs/PutChunks", chunk(b"fuzz").encode_to_vec()),
         (
             "Jobs/PutScene",
-            v1::PutSceneRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
+            v1::PutSceneRequest {
+                chunks: vec![digest.clone()],
+                digest: digest.clone(),
+            }
+            .encode_to_vec(),
         ),
         (
             "Jobs/PutReceivers",
-            v1::PutReceiversRequest { chunks: vec![digest.clone()], digest: digest.clone() }.encode_to_vec(),
+            v1::PutReceiversRequest {
+                chunks: vec![digest.clone()],
+                digest: digest.clone(),
+            }
+            .encode_to_vec(),
         ),
         ("Jobs/Submit", submit.encode_to_vec()),
         (
             "Jobs/Submit",
-            v1::SubmitRequest { request_id: "other".to_owned(), ..submit.clone() }.encode_to_vec(),
+            v1::SubmitRequest {
+                request_id: "other".to_owned(),
+                ..submit.clone()
+            }
+            .encode_to_vec(),
         ),
         (
             "Jobs/List",
@@ -177,10 +253,28 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
             }
             .encode_to_vec(),
         ),
-        ("Farm/ReleaseWorker", v1::ReleaseWorkerRequest { worker: "fuzz".to_owned() }.encode_to_vec()),
-        ("Farm/ListTiles", v1::ListTilesRequest { job, first: 0, limit: 5, states: vec![1] }.encode_to_vec()),
+        (
+            "Farm/ReleaseWorker",
+            v1::ReleaseWorkerRequest {
+                worker: "fuzz".to_owned(),
+            }
+            .encode_to_vec(),
+        ),
+        (
+            "Farm/ListTiles",
+            v1::ListTilesRequest {
+                job,
+                first: 0,
+                limit: 5,
+                states: vec![1],
+            }
+            .encode_to_vec(),
+        ),
         ("Jobs/Estimate", submit.encode_to_vec()),
-        ("Jobs/Prioritize", v1::PrioritizeRequest { job, priority: 3 }.encode_to_vec()),
+        (
+            "Jobs/Prioritize",
+            v1::PrioritizeRequest { job, priority: 3 }.encode_to_vec(),
+        ),
         ("Jobs/Show", show.clone()),
         ("Jobs/Watch", show.clone()),
         ("Jobs/Cancel", show.clone()),
@@ -190,7 +284,11 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         ("Jobs/Fetch", show),
         worker(Message::Hello(hello)),
         worker(Message::Want(v1::Want { tiles: 2 })),
-        worker(Message::Progress(v1::Progress { lease, cells: 1, samples: 1 })),
+        worker(Message::Progress(v1::Progress {
+            lease,
+            cells: 1,
+            samples: 1,
+        })),
         worker(Message::Failed(failed)),
         worker(Message::Timed(timed)),
         worker(Message::Draining(v1::Draining {})),
@@ -272,9 +370,19 @@ async fn nonsense_on_every_call_harms_nobody() {
     let mut coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     coordinator.ok(&format!("pause {job}"));
-    let channel = Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap();
+    let channel = Channel::from_shared(coordinator.url.clone())
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     let mut jobs = JobsClient::new(channel.clone());
-    let spec = jobs.show(v1::ShowRequest { job }).await.unwrap().into_inner().spec.unwrap();
+    let spec = jobs
+        .show(v1::ShowRequest { job })
+        .await
+        .unwrap()
+        .into_inner()
+        .spec
+        .unwrap();
 
     // Always the same cases, so that a failure can be reproduced.
     let mut runner = TestRunner::deterministic();
@@ -282,13 +390,24 @@ async fn nonsense_on_every_call_harms_nobody() {
     for path in &calls {
         let frames = proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..80), 0..3);
         for _ in 0..RANDOM_PER_CALL {
-            call(&channel, path, frames.new_tree(&mut runner).unwrap().current()).await;
+            call(
+                &channel,
+                path,
+                frames.new_tree(&mut runner).unwrap().current(),
+            )
+            .await;
         }
     }
     let case = (
         any::<Index>(),
         proptest::option::weighted(0.2, any::<Index>()),
-        proptest::collection::vec((any::<Index>(), proptest::collection::vec(Bend::strategy(), 0..4)), 0..3),
+        proptest::collection::vec(
+            (
+                any::<Index>(),
+                proptest::collection::vec(Bend::strategy(), 0..4),
+            ),
+            0..3,
+        ),
         proptest::collection::vec(Bend::strategy(), 0..4),
     );
     for _ in 0..BENT {
@@ -297,7 +416,10 @@ async fn nonsense_on_every_call_harms_nobody() {
         let mut frames = vec![bent(message, &bends)];
         // Later messages of a stream belong to the same call.
         let same: Vec<_> = straight.iter().filter(|(other, _)| other == name).collect();
-        frames.extend(more.iter().map(|(which, bends)| bent(&which.get(&same).1, bends)));
+        frames.extend(
+            more.iter()
+                .map(|(which, bends)| bent(&which.get(&same).1, bends)),
+        );
         let path = match elsewhere {
             Some(other) => other.get(&calls).clone(),
             None => format!("/sightline.v1.{name}"),
@@ -327,7 +449,11 @@ async fn nonsense_on_every_call_harms_nobody() {
     }
     let real = coordinator.submit(JOB);
     let _worker = coordinator.worker();
-    assert_same(&coordinator.finish(real), &sandbox.read("alone.pvs"), "after the nonsense");
+    assert_same(
+        &coordinator.finish(real),
+        &sandbox.read("alone.pvs"),
+        "after the nonsense",
+    );
 }
 
 fn bent(message: &[u8], bends: &[Bend]) -> Vec<u8> {

@@ -30,18 +30,27 @@ fn place(server: &S3Server, cache: &str) -> String {
 
 /// A coordinator on the store that keeps no copies, so that every blob is read from there.
 fn coordinator<'a>(sandbox: &'a Sandbox, server: &S3Server) -> Coordinator<'a> {
-    sandbox.serve("data", &format!("--listen 127.0.0.1:0 --blobs {}", place(server, "0")))
+    sandbox.serve(
+        "data",
+        &format!("--listen 127.0.0.1:0 --blobs {}", place(server, "0")),
+    )
 }
 
 fn finished(coordinator: &Coordinator<'_>, sandbox: &Sandbox, job: u64, what: &str) {
     assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), what);
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
-    assert!(!coordinator.process.err().contains(SECRET), "the log has the secret");
+    assert!(
+        !coordinator.process.err().contains(SECRET),
+        "the log has the secret"
+    );
 }
 
 fn in_the_middle(job: &Value) -> bool {
     let [done, total] = ["tiles_done", "tiles_total"].map(|key| job[key].as_u64().unwrap());
-    assert!(done < total, "the job was over before it could be disturbed; make it larger: {job}");
+    assert!(
+        done < total,
+        "the job was over before it could be disturbed; make it larger: {job}"
+    );
     done > 0
 }
 
@@ -59,11 +68,21 @@ fn a_bucket_gives_the_bytes_of_a_directory() {
         let coordinator = sandbox.serve(data, &format!("--listen 127.0.0.1:0 --blobs {place}"));
         let job = coordinator.submit(JOB);
         let workers = [coordinator.worker(), coordinator.worker()];
-        finished(&coordinator, &sandbox, job, &format!("with a cache of {cache}"));
-        assert_eq!(sandbox.files_below(&format!("{data}/blobs")), 0, "a directory was used");
-        wait_for("the scene, the result and the name of the store alone", || {
-            (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(())
-        });
+        finished(
+            &coordinator,
+            &sandbox,
+            job,
+            &format!("with a cache of {cache}"),
+        );
+        assert_eq!(
+            sandbox.files_below(&format!("{data}/blobs")),
+            0,
+            "a directory was used"
+        );
+        wait_for(
+            "the scene, the result and the name of the store alone",
+            || (server.objects(&format!("farm/{data}"), "").len() == 3).then_some(()),
+        );
         let copies = sandbox.files_below(&format!("{data}/copies"));
         assert!(match data {
             "none" => copies == 0,
@@ -78,13 +97,17 @@ fn a_bucket_gives_the_bytes_of_a_directory() {
 fn a_directory_can_be_named() {
     let (sandbox, _) = sandbox();
     let elsewhere = sandbox.path("elsewhere");
-    let coordinator =
-        sandbox.serve("data", &format!("--listen 127.0.0.1:0 --blobs dir:{}", elsewhere.display()));
+    let coordinator = sandbox.serve(
+        "data",
+        &format!("--listen 127.0.0.1:0 --blobs dir:{}", elsewhere.display()),
+    );
     let job = coordinator.submit(JOB);
     let _worker = coordinator.worker();
     finished(&coordinator, &sandbox, job, "in a directory with a name");
     // The third is the identity of the store.
-    wait_for("the scene and the result only", || (sandbox.files_below("elsewhere") == 3).then_some(()));
+    wait_for("the scene and the result only", || {
+        (sandbox.files_below("elsewhere") == 3).then_some(())
+    });
     assert_eq!(sandbox.files_below("data/blobs"), 0);
 }
 
@@ -123,20 +146,37 @@ fn damaged_objects_are_found_and_made_again() {
     let (sandbox, server) = sandbox();
     let coordinator = coordinator(&sandbox, &server);
     let job = coordinator.submit(JOB);
-    let digest = coordinator.json(&format!("show {job}"))["scene"].as_str().unwrap().to_owned();
-    let [scene] = &server.objects("farm", &digest)[..] else { panic!("one scene") };
+    let digest = coordinator.json(&format!("show {job}"))["scene"]
+        .as_str()
+        .unwrap()
+        .to_owned();
+    let [scene] = &server.objects("farm", &digest)[..] else {
+        panic!("one scene")
+    };
     flip(scene, 100);
     // The next submission of the scene replaces the damaged object.
     assert_eq!(coordinator.submit(JOB), job);
-    assert!(coordinator.process.err().contains("is damaged"), "{}", coordinator.process.err());
+    assert!(
+        coordinator.process.err().contains("is damaged"),
+        "{}",
+        coordinator.process.err()
+    );
     let worker = coordinator.worker();
-    coordinator.until(job, "the faces and some separators", |j| j["tiles_done"].as_u64().unwrap() >= 8);
+    coordinator.until(job, "the faces and some separators", |j| {
+        j["tiles_done"].as_u64().unwrap() >= 8
+    });
     worker.signal("TERM");
     worker.end().code(0);
     // Packs that are damaged count as lost: whoever needs one computes it again.
     let mut flipped = 0;
-    for object in server.objects("farm", "").iter().filter(|object| *object != scene) {
-        let raw = std::fs::File::open(object).map(zstd::stream::decode_all).unwrap();
+    for object in server
+        .objects("farm", "")
+        .iter()
+        .filter(|object| *object != scene)
+    {
+        let raw = std::fs::File::open(object)
+            .map(zstd::stream::decode_all)
+            .unwrap();
         if raw.is_ok_and(|raw| raw[0] == b'P') {
             flip(object, 9);
             flipped += 1;
@@ -154,13 +194,37 @@ fn a_place_that_cannot_be_used_is_refused_at_the_start() {
     let refused = |sandbox: &Sandbox, place: &str, text: &str| {
         let line = format!("coordinator --listen 127.0.0.1:0 --data-dir data --blobs {place}");
         let run = sandbox.run(&line).says(text);
-        assert!(!run.err.contains(SECRET) && !run.err.contains("hush"), "{}", run.err);
+        assert!(
+            !run.err.contains(SECRET) && !run.err.contains("hush"),
+            "{}",
+            run.err
+        );
     };
     refused(&sandbox, "farm", "dir:PATH or at s3://");
-    refused(&sandbox, "s3://farm?secret=hush", "there is no option 'secret'");
-    refused(&sandbox, "s3://farm?endpoint=http://192.0.2.1", "--allow-plaintext");
-    refused(&sandbox, "s3://farm?endpoint=http://127.0.0.1:9", "cannot be reached");
-    refused(&sandbox, &format!("s3://other?endpoint={endpoint}"), "there is no bucket for s3://other");
+    refused(
+        &sandbox,
+        "s3://farm?secret=hush",
+        "there is no option 'secret'",
+    );
+    refused(
+        &sandbox,
+        "s3://farm?endpoint=http://192.0.2.1",
+        "--allow-plaintext",
+    );
+    refused(
+        &sandbox,
+        "s3://farm?endpoint=http://127.0.0.1:9",
+        "cannot be reached",
+    );
+    refused(
+        &sandbox,
+        &format!("s3://other?endpoint={endpoint}"),
+        "there is no bucket for s3://other",
+    );
     sandbox.set("AWS_SECRET_ACCESS_KEY", "hush");
-    refused(&sandbox, &format!("s3://farm?endpoint={endpoint}"), "AWS_SECRET_ACCESS_KEY");
+    refused(
+        &sandbox,
+        &format!("s3://farm?endpoint={endpoint}"),
+        "AWS_SECRET_ACCESS_KEY",
+    );
 }

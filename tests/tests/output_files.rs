@@ -9,26 +9,48 @@ use std::process::{Command, Stdio};
 use sightline_tests::{FILE_CALLS, Sandbox, Strace, SystemCall, program};
 
 const MAZE: &str = "generate maze --grid 2x2 -o maze.glb";
-const BAKE: &str = "bake maze.glb --cells 2x1x2 --target-error 0.1 --backend cpu --data-dir data -o maze.pvs";
+const BAKE: &str =
+    "bake maze.glb --cells 2x1x2 --target-error 0.1 --backend cpu --data-dir data -o maze.pvs";
 
 /// Command lines, each with the files that the command writes.
 const WRITERS: [(&str, &[&str]); 15] = [
     (MAZE, &["maze.glb"]),
     (BAKE, &["maze.pvs"]),
     ("mesh maze.glb -o maze.ply", &["maze.ply"]),
-    ("export maze.pvs --format sidecar -o maze.json", &["maze.json"]),
+    (
+        "export maze.pvs --format sidecar -o maze.json",
+        &["maze.json"],
+    ),
     ("export maze.pvs --format csv -o maze.csv", &["maze.csv"]),
-    ("export maze.pvs --format gltf --scene maze.glb -o seen.glb", &["seen.glb"]),
+    (
+        "export maze.pvs --format gltf --scene maze.glb -o seen.glb",
+        &["seen.glb"],
+    ),
     ("view maze.pvs maze.glb -o view.html", &["view.html"]),
-    ("diff maze.pvs maze.pvs --scene maze.glb -o diff.html", &["diff.html"]),
+    (
+        "diff maze.pvs maze.pvs --scene maze.glb -o diff.html",
+        &["diff.html"],
+    ),
     (
         "report maze.pvs maze.glb -o report.html --viewpoints 4 --resolution 32 --backend cpu",
         &["report.html"],
     ),
-    ("tetra maze.glb -o maze.tets --export maze.vtu", &["maze.tets", "maze.vtu"]),
-    ("store export --data-dir data -o records.jsonl", &["records.jsonl"]),
-    ("man pages", &["pages/sightline.1", "pages/sightline-bake.1"]),
-    ("token new --tokens tokens.json --user ada --scope read", &["tokens.json"]),
+    (
+        "tetra maze.glb -o maze.tets --export maze.vtu",
+        &["maze.tets", "maze.vtu"],
+    ),
+    (
+        "store export --data-dir data -o records.jsonl",
+        &["records.jsonl"],
+    ),
+    (
+        "man pages",
+        &["pages/sightline.1", "pages/sightline-bake.1"],
+    ),
+    (
+        "token new --tokens tokens.json --user ada --scope read",
+        &["tokens.json"],
+    ),
     (
         "measure maze.glb maze.pvs --viewpoints 8 --resolution 32 --backend cpu --images images --turntable",
         &["images/worst_turntable.png"],
@@ -58,11 +80,18 @@ fn created(call: &SystemCall) -> Option<&Path> {
 fn assert_synced(calls: &[SystemCall], folder: &Path, file: &str, line: &str) {
     let target = folder.join(file);
     let syncs = |path: &Path, call: &SystemCall| {
-        call.name == "fsync" && call.succeeded() && call.text.contains(&format!("<{}>", path.display()))
+        call.name == "fsync"
+            && call.succeeded()
+            && call.text.contains(&format!("<{}>", path.display()))
     };
     let mut renames = 0;
-    for call in calls.iter().filter(|call| call.name.starts_with("rename") && call.succeeded()) {
-        let [.., from, to] = strings(call)[..] else { panic!("{call:?}") };
+    for call in calls
+        .iter()
+        .filter(|call| call.name.starts_with("rename") && call.succeeded())
+    {
+        let [.., from, to] = strings(call)[..] else {
+            panic!("{call:?}")
+        };
         if folder.join(to) != target {
             continue;
         }
@@ -70,11 +99,20 @@ fn assert_synced(calls: &[SystemCall], folder: &Path, file: &str, line: &str) {
         // Without a dot in the middle, as strace writes the paths of descriptors.
         let from: PathBuf = folder.join(from).components().collect();
         let before = |c: &&SystemCall| syncs(&from, c) && c.returned < call.begun;
-        assert!(calls.iter().any(|c| before(&c)), "{line}: {file} is renamed without a sync\n{calls:#?}");
+        assert!(
+            calls.iter().any(|c| before(&c)),
+            "{line}: {file} is renamed without a sync\n{calls:#?}"
+        );
         let after = |c: &&SystemCall| syncs(target.parent().unwrap(), c) && call.returned < c.begun;
-        assert!(calls.iter().any(|c| after(&c)), "{line}: the folder of {file} is not synced\n{calls:#?}");
+        assert!(
+            calls.iter().any(|c| after(&c)),
+            "{line}: the folder of {file} is not synced\n{calls:#?}"
+        );
     }
-    assert!(renames > 0, "{line}: {file} is not renamed into place\n{calls:#?}");
+    assert!(
+        renames > 0,
+        "{line}: {file} is not renamed into place\n{calls:#?}"
+    );
 }
 
 #[test]
@@ -82,21 +120,34 @@ fn commands_sync_files_and_folders_in_order() {
     let sandbox = Sandbox::new();
     let folder = std::fs::canonicalize(sandbox.path("")).unwrap();
     // Records of the farm and caches have their own rules.
-    let others: Vec<PathBuf> = ["data", "cache", "calls"].iter().map(|name| folder.join(name)).collect();
+    let others: Vec<PathBuf> = ["data", "cache", "calls"]
+        .iter()
+        .map(|name| folder.join(name))
+        .collect();
     for (line, files) in WRITERS {
-        let Some(strace) = Strace::new(&folder.join("calls")) else { return };
+        let Some(strace) = Strace::new(&folder.join("calls")) else {
+            return;
+        };
         let mut command = strace.command(program(), FILE_CALLS);
         command
             .args(line.split_whitespace())
             .current_dir(&folder)
             .env("XDG_CACHE_HOME", folder.join("cache"));
         let ran = command.stdin(Stdio::null()).output().unwrap();
-        assert!(ran.status.success(), "{line}: {}", String::from_utf8_lossy(&ran.stderr));
+        assert!(
+            ran.status.success(),
+            "{line}: {}",
+            String::from_utf8_lossy(&ran.stderr)
+        );
         let calls = strace.calls();
         for file in files {
             assert_synced(&calls, &folder, file, line);
         }
-        for path in calls.iter().filter_map(created).filter(|path| path.starts_with(&folder)) {
+        for path in calls
+            .iter()
+            .filter_map(created)
+            .filter(|path| path.starts_with(&folder))
+        {
             let name = path.file_name().unwrap().to_str().unwrap();
             let is_fine = name.starts_with(".sightline-part-")
                 || name == "tokens.json.lock"
@@ -130,11 +181,18 @@ fn failed_writes_leave_previous_files() {
         // Files end after one block, as on a full disk; the shell keeps the signal from ending the program.
         let limited = format!("trap '' XFSZ; ulimit -f 1; exec \"$0\" {line}");
         let mut command = Command::new("sh");
-        command.args(["-c", &limited]).arg(program()).current_dir(sandbox.path("")).stdin(Stdio::null());
+        command
+            .args(["-c", &limited])
+            .arg(program())
+            .current_dir(sandbox.path(""))
+            .stdin(Stdio::null());
         let ran = command.output().unwrap();
         let text = String::from_utf8_lossy(&ran.stderr).into_owned();
         assert_eq!(ran.status.code(), Some(1), "{line}: {text}");
-        assert!(text.contains(&format!("{file} cannot be written")), "{line}: {text}");
+        assert!(
+            text.contains(&format!("{file} cannot be written")),
+            "{line}: {text}"
+        );
         assert_eq!(std::fs::read(sandbox.path(file)).ok(), old, "{line}");
         assert_eq!(names(), before, "{line}");
     }
@@ -145,16 +203,31 @@ fn pipes_and_redirected_stdout_are_rejected() {
     let sandbox = Sandbox::new();
     let generate = |stdout: Stdio, output: &str| {
         let mut command = Command::new(program());
-        command.args(["generate", "maze", "--grid", "2x2", "-o", output]).current_dir(sandbox.path(""));
-        let ran = command.stdin(Stdio::null()).stdout(stdout).output().unwrap();
-        (ran.status.code(), String::from_utf8_lossy(&ran.stderr).into_owned())
+        command
+            .args(["generate", "maze", "--grid", "2x2", "-o", output])
+            .current_dir(sandbox.path(""));
+        let ran = command
+            .stdin(Stdio::null())
+            .stdout(stdout)
+            .output()
+            .unwrap();
+        (
+            ran.status.code(),
+            String::from_utf8_lossy(&ran.stderr).into_owned(),
+        )
     };
     let (code, text) = generate(Stdio::piped(), "/dev/stdout");
-    assert!(code == Some(2) && text.contains("a device or a pipe"), "{text}");
+    assert!(
+        code == Some(2) && text.contains("a device or a pipe"),
+        "{text}"
+    );
     let redirected = std::fs::File::create(sandbox.path("maze.glb")).unwrap();
     for output in ["/dev/stdout", "maze.glb"] {
         let (code, text) = generate(redirected.try_clone().unwrap().into(), output);
-        assert!(code == Some(2) && text.contains("standard output"), "{text}");
+        assert!(
+            code == Some(2) && text.contains("standard output"),
+            "{text}"
+        );
     }
     assert!(sandbox.read("maze.glb").is_empty());
 }

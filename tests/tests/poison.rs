@@ -6,7 +6,12 @@
 //! Each worker is a separate process, which the test starts again under its name when the process ends. The
 //! test prints the time of the job with the bad tile and without.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "helpers of tests"
+)]
 
 use std::path::PathBuf;
 use std::process::{Child, Command};
@@ -20,7 +25,8 @@ mod simulated;
 use simulated::Work;
 
 /// The job: 51 tiles of a cell.
-const JOB: &str = "rooms.glb --cells 51x1x1 --block-cells 1 --backend cpu --cell-to-cell off --seed";
+const JOB: &str =
+    "rooms.glb --cells 51x1x1 --block-cells 1 --backend cpu --cell-to-cell off --seed";
 /// The tile that kills.
 const BAD: u32 = 20;
 /// Environment variables of the process of a worker: the address, the name, the way to die.
@@ -36,17 +42,28 @@ const TILE: Duration = Duration::from_millis(200);
 #[test]
 #[ignore = "the process of a worker"]
 fn worker_process() {
-    let (address, name) = (std::env::var(ADDRESS).unwrap(), std::env::var(NAME).unwrap());
+    let (address, name) = (
+        std::env::var(ADDRESS).unwrap(),
+        std::env::var(NAME).unwrap(),
+    );
     let end = std::env::var(END).unwrap();
     let instance = u64::from(std::process::id());
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
     let before = move |tile: u32| {
         if tile == BAD {
             die(&end);
         }
         std::thread::sleep(TILE);
     };
-    runtime.block_on(simulated::work_with(&address, (&name, instance), &Work::default(), &before));
+    runtime.block_on(simulated::work_with(
+        &address,
+        (&name, instance),
+        &Work::default(),
+        &before,
+    ));
 }
 
 /// Ends the process.
@@ -61,7 +78,11 @@ fn die(end: &str) {
             for _ in 0..64 {
                 all.push(vec![1u8; 16 << 20]);
             }
-            panic!("{} MB fit into a control group of {} MB", all.len() * 16, MEMORY >> 20);
+            panic!(
+                "{} MB fit into a control group of {} MB",
+                all.len() * 16,
+                MEMORY >> 20
+            );
         }
         "never" => {}
         other => panic!("no way to die: {other}"),
@@ -109,8 +130,13 @@ impl Drop for Bounded {
 fn start(coordinator: &Coordinator<'_>, name: &str, end: &str, group: Option<&Bounded>) -> Child {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", "worker_process", "--ignored", "--nocapture"]);
-    command.env(ADDRESS, &coordinator.url).env(NAME, name).env(END, end);
-    command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null());
+    command
+        .env(ADDRESS, &coordinator.url)
+        .env(NAME, name)
+        .env(END, end);
+    command
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null());
     let child = command.spawn().unwrap();
     if let Some(group) = group {
         group.add(child.id());
@@ -120,7 +146,12 @@ fn start(coordinator: &Coordinator<'_>, name: &str, end: &str, group: Option<&Bo
 
 /// Runs a job with three workers that are started again whenever they end; returns its time and the number of
 /// ends.
-fn run(coordinator: &Coordinator<'_>, job: u64, end: &str, group: Option<&Bounded>) -> (Duration, u32) {
+fn run(
+    coordinator: &Coordinator<'_>,
+    job: u64,
+    end: &str,
+    group: Option<&Bounded>,
+) -> (Duration, u32) {
     let (over, ends) = (AtomicBool::new(false), AtomicU32::new(0));
     let begun = Instant::now();
     std::thread::scope(|scope| {
@@ -159,7 +190,10 @@ fn tile_that_kills_its_workers_is_set_aside_among_fifty_good_ones() {
     for (seed, end) in (2..).zip(["abort", "memory", "exit"]) {
         let group = if end == "memory" {
             let Some(group) = Bounded::new("poison") else {
-                assert!(!in_ci(), "no control group could be made, so the kernel ends nobody for memory");
+                assert!(
+                    !in_ci(),
+                    "no control group could be made, so the kernel ends nobody for memory"
+                );
                 println!("not run: the end for memory (no control group could be made)");
                 continue;
             };
@@ -173,7 +207,10 @@ fn tile_that_kills_its_workers_is_set_aside_among_fifty_good_ones() {
             "{end}: {ends} workers ended, {:.2} of the calm time",
             time.as_secs_f64() / calm.as_secs_f64()
         );
-        let (done, aside) = (coordinator.count(job, "tiles_done"), coordinator.count(job, "tiles_set_aside"));
+        let (done, aside) = (
+            coordinator.count(job, "tiles_done"),
+            coordinator.count(job, "tiles_set_aside"),
+        );
         assert_eq!((done, aside), (50, 1), "{end}");
         assert!((3..=5).contains(&ends), "{end}: {ends} workers ended");
         let tiles = coordinator.ok(&format!("show {job} --tiles"));

@@ -23,10 +23,16 @@ fn a_cluster_that_is_disturbed_hides_the_same_to_the_last_byte() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(JOB);
     let victim = coordinator.worker();
-    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    coordinator.until(job, "a first tile", |job| {
+        job["tiles_done"].as_u64().unwrap() > 0
+    });
     victim.kill();
     let _heirs = [coordinator.worker(), coordinator.worker()];
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after a worker was killed",
+    );
     assert_eq!(coordinator.json(&format!("show {job}"))["profile"], "none");
 }
 
@@ -36,10 +42,19 @@ fn sets_hold_the_exact_ones_and_say_what_has_no_witness() {
     let header = &sandbox.dump("alone.pvs").header;
     assert_eq!(header["method"], "portals");
     let words = sandbox.ok("info alone.pvs");
-    assert!(words.contains("hidden by walls") && words.contains("have no witness"), "{words}");
+    assert!(
+        words.contains("hidden by walls") && words.contains("have no witness"),
+        "{words}"
+    );
     let report = sandbox.json("verify rooms.glb alone.pvs --sample 200");
-    assert_eq!((&report["accepted"], &report["pairs"]), (&json!(true), &json!(200)));
-    sandbox.run("verify rooms.glb alone.pvs").code(3).says("--sample");
+    assert_eq!(
+        (&report["accepted"], &report["pairs"]),
+        (&json!(true), &json!(200))
+    );
+    sandbox
+        .run("verify rooms.glb alone.pvs")
+        .code(3)
+        .says("--sample");
 }
 
 #[test]
@@ -49,33 +64,55 @@ fn what_is_looked_at_is_in_the_cells_set_and_bad_views_are_refused() {
     let [lo, hi] = dump.view_box();
     let eye = [0, 1, 2].map(|k| lo[k] + (hi[k] - lo[k]) * [0.3, 0.6, 0.4][k]);
     let view = |change: &dyn Fn(&mut Value)| {
-        let mut view = json!({"id": "a", "eye": eye, "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
+        let mut view =
+            json!({"id": "a", "eye": eye, "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
         change(&mut view);
         format!("{view}\n")
     };
-    sandbox.write("eyes.jsonl", view(&|_| {}) + &view(&|v| v["dir"] = json!([-1, 0, 0.2])));
+    sandbox.write(
+        "eyes.jsonl",
+        view(&|_| {}) + &view(&|v| v["dir"] = json!([-1, 0, 0.2])),
+    );
     let out = sandbox.ok("look alone.pvs --eyes eyes.jsonl");
-    let looks: Vec<Value> = out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let looks: Vec<Value> = out
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
     assert_eq!(looks.len(), 2);
-    assert_ne!(looks[0]["visible"], looks[1]["visible"], "two directions show different triangles");
+    assert_ne!(
+        looks[0]["visible"], looks[1]["visible"],
+        "two directions show different triangles"
+    );
     for look in &looks {
         let cell = look["cell"].as_u64().unwrap();
         let of_cell = &dump.cells[cell as usize].visible;
         let seen = look["visible"].as_array().unwrap();
         assert!(!seen.is_empty() && seen.len() < of_cell.len());
-        assert!(seen.iter().all(|id| of_cell.binary_search(&id.as_u64().unwrap()).is_ok()));
+        assert!(
+            seen.iter()
+                .all(|id| of_cell.binary_search(&id.as_u64().unwrap()).is_ok())
+        );
     }
     let bad = |change: &dyn Fn(&mut Value), why: &str| {
         sandbox.write("bad.jsonl", view(change));
-        sandbox.run("look alone.pvs --eyes bad.jsonl").code(3).says(why);
+        sandbox
+            .run("look alone.pvs --eyes bad.jsonl")
+            .code(3)
+            .says(why);
     };
-    bad(&|v| v["eye"] = json!([1e9, 0, 0]), "outside of the view box");
+    bad(
+        &|v| v["eye"] = json!([1e9, 0, 0]),
+        "outside of the view box",
+    );
     bad(&|v| v["fov"] = json!([180, 60]), "less than 180");
     bad(&|v| v["up"] = json!([2, 0, 0.4]), "not on one line");
     bad(&|v| v["shut"] = json!(["gate"]), "no door \"gate\"");
     bad(&|v| v["shutt"] = json!(["gate"]), "unknown field");
     sandbox.ok("bake rooms.glb --cells 2x1x2 --backend cpu -o sampled.pvs --data-dir data");
-    sandbox.run("look sampled.pvs --eyes eyes.jsonl").code(3).says("--method portals");
+    sandbox
+        .run("look sampled.pvs --eyes eyes.jsonl")
+        .code(3)
+        .says("--method portals");
 }
 
 #[test]
@@ -83,17 +120,27 @@ fn what_portals_do_not_do_is_refused() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let refused = |flags: &str, why: &str| {
-        sandbox.run(&format!("bake rooms.glb --method portals {flags} -o x.pvs")).code(2).says(why);
+        sandbox
+            .run(&format!("bake rooms.glb --method portals {flags} -o x.pvs"))
+            .code(2)
+            .says(why);
     };
     refused("--certificates", "--certificates");
     refused("--triangle-budget 500", "--triangle-budget");
-    refused("--max-error 0.01 --contributions", "--max-error, --contributions");
+    refused(
+        "--max-error 0.01 --contributions",
+        "--max-error, --contributions",
+    );
     refused("--backend cpu", "--backend");
-    sandbox.run("bake rooms.glb --backend none -o x.pvs").code(2).says("backend");
+    sandbox
+        .run("bake rooms.glb --backend none -o x.pvs")
+        .code(2)
+        .says("backend");
 }
 
 /// A job of exact open boxes between walls.
-const BOXES: &str = "rooms.glb --cells walls:30 --reachable-from 2,1.5,3 --method exact --backend cpu";
+const BOXES: &str =
+    "rooms.glb --cells walls:30 --reachable-from 2,1.5,3 --method exact --backend cpu";
 
 #[test]
 fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
@@ -103,24 +150,46 @@ fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let job = coordinator.submit(BOXES);
     let victim = coordinator.worker();
-    coordinator.until(job, "a first tile", |job| job["tiles_done"].as_u64().unwrap() > 0);
+    coordinator.until(job, "a first tile", |job| {
+        job["tiles_done"].as_u64().unwrap() > 0
+    });
     victim.kill();
     let _heirs = [coordinator.worker(), coordinator.worker()];
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a worker was killed");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after a worker was killed",
+    );
     let dump = sandbox.dump("alone.pvs");
-    assert_eq!(dump.header["info"]["division"], json!({"tree": {"boxes": 30}}));
+    assert_eq!(
+        dump.header["info"]["division"],
+        json!({"tree": {"boxes": 30}})
+    );
     assert_eq!(dump.cells.len(), 30);
     // The sets are exact, and look-ups have the portals.
-    let eyes = json!({"id": 1, "eye": [2, 1.5, 3], "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
+    let eyes =
+        json!({"id": 1, "eye": [2, 1.5, 3], "dir": [1, 0, 0.2], "up": [0, 1, 0], "fov": [90, 60]});
     sandbox.write("eyes.jsonl", format!("{eyes}\n"));
-    let look: Value = serde_json::from_str(sandbox.ok("look alone.pvs --eyes eyes.jsonl").trim()).unwrap();
+    let look: Value =
+        serde_json::from_str(sandbox.ok("look alone.pvs --eyes eyes.jsonl").trim()).unwrap();
     assert!(!look["visible"].as_array().unwrap().is_empty());
-    sandbox.ok(&format!("bake {} -o portals.pvs", BOXES.replace("exact --backend cpu", "portals")));
+    sandbox.ok(&format!(
+        "bake {} -o portals.pvs",
+        BOXES.replace("exact --backend cpu", "portals")
+    ));
     let report = sandbox.json("verify rooms.glb portals.pvs --sample 100");
-    assert_eq!((&report["accepted"], &report["pairs"]), (&json!(true), &json!(100)));
+    assert_eq!(
+        (&report["accepted"], &report["pairs"]),
+        (&json!(true), &json!(100))
+    );
     let walls = &sandbox.dump("portals.pvs").cells;
     for (exact, walls) in dump.cells.iter().zip(walls) {
-        assert!(exact.visible.iter().all(|t| walls.visible.binary_search(t).is_ok()));
+        assert!(
+            exact
+                .visible
+                .iter()
+                .all(|t| walls.visible.binary_search(t).is_ok())
+        );
     }
 }
 
@@ -129,14 +198,26 @@ fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let refused = |flags: &str, why: &str| {
-        sandbox.run(&format!("bake rooms.glb {flags} -o x.pvs")).code(2).says(why);
+        sandbox
+            .run(&format!("bake rooms.glb {flags} -o x.pvs"))
+            .code(2)
+            .says(why);
     };
     refused("--cells walls:0", "1 to 4096");
     refused("--cells wall:5", "walls:N");
-    refused("--cells walls:5 --method exact --certificates", "--certificates");
-    refused("--cells walls:5 --cell-to-cell on --block-cells 4", "--cell-to-cell on, --block-cells");
+    refused(
+        "--cells walls:5 --method exact --certificates",
+        "--certificates",
+    );
+    refused(
+        "--cells walls:5 --cell-to-cell on --block-cells 4",
+        "--cell-to-cell on, --block-cells",
+    );
     refused("--cells walls:5 --sampler cubes", "--sampler cubes");
-    refused("--cells walls:5 --view-box 0,0,0,1,1,1 --view-box 2,0,0,3,1,1", "need a grid");
+    refused(
+        "--cells walls:5 --view-box 0,0,0,1,1,1 --view-box 2,0,0,3,1,1",
+        "need a grid",
+    );
 }
 
 #[test]
@@ -144,13 +225,22 @@ fn a_door_can_be_shut_at_run_time() {
     let sandbox = Sandbox::new();
     // A wall at x = 2; a door fills y from 0 to 1.
     let wall = across(2.0, [1.0, 2.0], [0.0, 2.0]);
-    let scene = house(&[("wall", wall), ("front_door", across(2.0, [0.0, 1.0], [0.0, 2.0]))]);
+    let scene = house(&[
+        ("wall", wall),
+        ("front_door", across(2.0, [0.0, 1.0], [0.0, 2.0])),
+    ]);
     sandbox.write("house.obj", scene);
-    sandbox.ok("bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data");
+    sandbox.ok(
+        "bake house.obj --doors front* --cells 4x1x1 --method portals -o house.pvs --data-dir data",
+    );
     // What fills no opening can be no door.
     let picture = "o picture\nv 1 1.5 1\nv 1 1.6 1\nv 1 1.5 1.1\nf -3 -2 -1\n";
-    sandbox.write("art.obj", [sandbox.read("house.obj"), picture.into()].concat());
-    let art = "bake art.obj --doors pict* --reachable-from 1,0.5,0.5 --cells 1x1x1 --method portals";
+    sandbox.write(
+        "art.obj",
+        [sandbox.read("house.obj"), picture.into()].concat(),
+    );
+    let art =
+        "bake art.obj --doors pict* --reachable-from 1,0.5,0.5 --cells 1x1x1 --method portals";
     sandbox
         .run(&format!("{art} -o art.pvs --data-dir data"))
         .code(0)
@@ -161,7 +251,10 @@ fn a_door_can_be_shut_at_run_time() {
     );
     let other = json!({"eye": [3, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60]});
     sandbox.write("other.jsonl", format!("{other}\n"));
-    sandbox.run("look one.pvs --eyes other.jsonl").code(3).says("outside of the walls");
+    sandbox
+        .run("look one.pvs --eyes other.jsonl")
+        .code(3)
+        .says("outside of the walls");
     let view = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60]});
     let shut = json!({"eye": [1, 0.5, 1], "dir": [1, 0, 0], "up": [0, 1, 0], "fov": [60, 60],
         "shut": ["front_door"]});
@@ -170,11 +263,24 @@ fn a_door_can_be_shut_at_run_time() {
     let seen: Vec<Vec<u64>> = out
         .lines()
         .map(|line| serde_json::from_str::<Value>(line).unwrap())
-        .map(|look| look["visible"].as_array().unwrap().iter().map(|id| id.as_u64().unwrap()).collect())
+        .map(|look| {
+            look["visible"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|id| id.as_u64().unwrap())
+                .collect()
+        })
         .collect();
     // The wall at x = 4 is triangles 10 and 11, the door 14 and 15.
     assert!(seen[0].contains(&10) || seen[0].contains(&11), "{seen:?}");
     assert!(!seen[1].contains(&10) && !seen[1].contains(&11), "{seen:?}");
-    assert!(seen[1].iter().all(|id| seen[0].contains(id)), "shutting reveals nothing: {seen:?}");
-    assert!(seen[0].iter().all(|id| *id < 14), "a door is in no set: {seen:?}");
+    assert!(
+        seen[1].iter().all(|id| seen[0].contains(id)),
+        "shutting reveals nothing: {seen:?}"
+    );
+    assert!(
+        seen[0].iter().all(|id| *id < 14),
+        "a door is in no set: {seen:?}"
+    );
 }

@@ -11,7 +11,14 @@ fn pytest(file: &str) {
     let Some(python) = python() else { return };
     let sandbox = Sandbox::new();
     let out = Command::new(python)
-        .args(["-m", "pytest", "--quiet", "--no-header", "-p", "no:cacheprovider"])
+        .args([
+            "-m",
+            "pytest",
+            "--quiet",
+            "--no-header",
+            "-p",
+            "no:cacheprovider",
+        ])
         .arg(python_folder().join("tests").join(file))
         .current_dir(sandbox.path("."))
         .env("SIGHTLINE_BIN", std::path::absolute(program()).unwrap())
@@ -19,8 +26,15 @@ fn pytest(file: &str) {
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&out.stdout);
-    assert!(out.status.success(), "{file}: {said}{}", String::from_utf8_lossy(&out.stderr));
-    assert!(said.contains(" passed") && !said.contains("skipped"), "{file}: {said}");
+    assert!(
+        out.status.success(),
+        "{file}: {said}{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
+    assert!(
+        said.contains(" passed") && !said.contains("skipped"),
+        "{file}: {said}"
+    );
 }
 
 #[test]

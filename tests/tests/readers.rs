@@ -1,7 +1,12 @@
 //! Readers of results beside the Rust one: they read the same sets from the same files, and refuse the same
 //! damaged ones.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,16 +19,43 @@ use sightline_tests::{Browser, Sandbox, in_ci, libraries, python, python_folder}
 const RESULTS: [(&str, &str); 12] = [
     ("grid", "rooms.glb --cells 4x2x3 --backend cpu"),
     ("one", "rooms.glb --cells 1x1x1 --backend cpu"),
-    ("adaptive", "rooms.glb --triangle-budget 400 --max-depth 6 --backend cpu"),
-    ("exact", "rooms.glb --cells 3x1x2 --method exact --backend cpu"),
-    ("certified", "rooms.glb --cells 2x1x2 --method exact --certificates --backend cpu"),
-    ("verified", "rooms.glb --cells 3x1x2 --method verified --time-budget 1s --backend cpu"),
+    (
+        "adaptive",
+        "rooms.glb --triangle-budget 400 --max-depth 6 --backend cpu",
+    ),
+    (
+        "exact",
+        "rooms.glb --cells 3x1x2 --method exact --backend cpu",
+    ),
+    (
+        "certified",
+        "rooms.glb --cells 2x1x2 --method exact --certificates --backend cpu",
+    ),
+    (
+        "verified",
+        "rooms.glb --cells 3x1x2 --method verified --time-budget 1s --backend cpu",
+    ),
     ("portals", "rooms.glb --cells 3x1x2 --method portals"),
-    ("walls", "rooms.glb --cells walls:9 --reachable-from 2,1.5,3 --method portals"),
-    ("clusters", "rooms.glb --cells 3x1x2 --granularity clusters --backend cpu"),
-    ("objects", "rooms.glb --cells 3x1x2 --granularity objects --backend cpu"),
-    ("shares", "rooms.glb --cells 3x1x2 --contributions --cell-to-cell off --backend cpu"),
-    ("glass", "rooms.glb --cells 3x1x2 --see-through * --max-error 0.05 --backend cpu"),
+    (
+        "walls",
+        "rooms.glb --cells walls:9 --reachable-from 2,1.5,3 --method portals",
+    ),
+    (
+        "clusters",
+        "rooms.glb --cells 3x1x2 --granularity clusters --backend cpu",
+    ),
+    (
+        "objects",
+        "rooms.glb --cells 3x1x2 --granularity objects --backend cpu",
+    ),
+    (
+        "shares",
+        "rooms.glb --cells 3x1x2 --contributions --cell-to-cell off --backend cpu",
+    ),
+    (
+        "glass",
+        "rooms.glb --cells 3x1x2 --see-through * --max-error 0.05 --backend cpu",
+    ),
 ];
 
 /// A folder with all results, and what the Rust reader says of each.
@@ -32,10 +64,17 @@ fn results(sandbox: &Sandbox) -> Vec<Value> {
     let said = |(name, job): (&str, &str)| {
         sandbox.ok(&format!("bake {job} -o {name}.pvs"));
         let lines = sandbox.ok(&format!("dump {name}.pvs"));
-        let mut lines = lines.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        let mut lines = lines
+            .lines()
+            .map(|line| serde_json::from_str::<Value>(line).unwrap());
         let header = lines.next().unwrap();
         let cells: Vec<Value> = lines.collect();
-        let of = |key: &str| cells.iter().map(|cell| cell[key].clone()).collect::<Vec<_>>();
+        let of = |key: &str| {
+            cells
+                .iter()
+                .map(|cell| cell[key].clone())
+                .collect::<Vec<_>>()
+        };
         json!({
             "name": name, "triangles": header["triangles"], "method": header["method"],
             "cells": cells.len(), "visible": of("visible"), "undecided": of("undecided"),
@@ -46,8 +85,12 @@ fn results(sandbox: &Sandbox) -> Vec<Value> {
 
 /// Damaged versions of a file, each of which the Rust reader refuses.
 fn damaged(sandbox: &Sandbox, whole: &[u8]) -> Vec<Vec<u8>> {
-    let mut all =
-        vec![Vec::new(), whole[..7].to_vec(), whole[..39].to_vec(), whole[..whole.len() - 1].to_vec()];
+    let mut all = vec![
+        Vec::new(),
+        whole[..7].to_vec(),
+        whole[..39].to_vec(),
+        whole[..whole.len() - 1].to_vec(),
+    ];
     let longer: Vec<u8> = whole.iter().copied().chain([0]).collect();
     all.push(longer);
     for k in 0..60 {
@@ -89,7 +132,10 @@ fn shared() -> &'static (Sandbox, Vec<Value>, usize) {
 }
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .to_owned()
 }
 
 /// Runs a command that must succeed; `None` where the program is missing, which in CI is a failure.
@@ -97,7 +143,11 @@ fn run(command: &mut Command) -> Option<String> {
     match command.output() {
         Ok(out) => {
             let err = String::from_utf8_lossy(&out.stderr);
-            assert!(out.status.success(), "{command:?}: {err}{}", String::from_utf8_lossy(&out.stdout));
+            assert!(
+                out.status.success(),
+                "{command:?}: {err}{}",
+                String::from_utf8_lossy(&out.stdout)
+            );
             Some(String::from_utf8(out.stdout).unwrap())
         }
         Err(e) if !in_ci() => {
@@ -112,8 +162,12 @@ fn run(command: &mut Command) -> Option<String> {
 /// says.
 fn ask(command: &mut Command) {
     let (sandbox, expected, damaged) = shared();
-    let command = command.arg(damaged.to_string()).args(RESULTS.iter().map(|(name, _)| *name));
-    let Some(out) = run(command.current_dir(sandbox.path("."))) else { return };
+    let command = command
+        .arg(damaged.to_string())
+        .args(RESULTS.iter().map(|(name, _)| *name));
+    let Some(out) = run(command.current_dir(sandbox.path("."))) else {
+        return;
+    };
     check(&serde_json::from_str(&out).unwrap(), expected, *damaged);
 }
 
@@ -121,12 +175,23 @@ fn ask(command: &mut Command) {
 fn c_reads_the_same_sets_and_refuses_the_same_files() {
     let (sandbox, ..) = shared();
     let folder = root().join("readers/c");
-    for (name, library) in [("static", "libsightline_pvs_c.a"), ("dynamic", "libsightline_pvs_c.so")] {
+    for (name, library) in [
+        ("static", "libsightline_pvs_c.a"),
+        ("dynamic", "libsightline_pvs_c.so"),
+    ] {
         let say = sandbox.path(&format!("say-{name}"));
         let mut compile = Command::new("cc");
-        compile.args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]).arg("-o").arg(&say);
-        compile.arg("-I").arg(folder.join("include")).arg(folder.join("tests/say.c"));
-        compile.arg(libraries().join(library)).args(["-lpthread", "-ldl", "-lm"]);
+        compile
+            .args(["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"])
+            .arg("-o")
+            .arg(&say);
+        compile
+            .arg("-I")
+            .arg(folder.join("include"))
+            .arg(folder.join("tests/say.c"));
+        compile
+            .arg(libraries().join(library))
+            .args(["-lpthread", "-ldl", "-lm"]);
         if run(&mut compile).is_some() {
             ask(Command::new(&say).env("LD_LIBRARY_PATH", libraries()));
         }
@@ -139,10 +204,16 @@ fn csharp_reads_the_same_sets_and_refuses_the_same_files() {
     let folder = root().join("readers/csharp");
     let say = sandbox.path("Say.exe");
     let mut compile = Command::new("mcs");
-    compile.arg("-warnaserror").arg(format!("-out:{}", say.display()));
-    compile.arg(folder.join("SightlinePvs.cs")).arg(folder.join("tests/Say.cs"));
+    compile
+        .arg("-warnaserror")
+        .arg(format!("-out:{}", say.display()));
+    compile
+        .arg(folder.join("SightlinePvs.cs"))
+        .arg(folder.join("tests/Say.cs"));
     if run(&mut compile).is_some() {
-        ask(Command::new("mono").arg(&say).env("LD_LIBRARY_PATH", libraries()));
+        ask(Command::new("mono")
+            .arg(&say)
+            .env("LD_LIBRARY_PATH", libraries()));
     }
 }
 
@@ -154,14 +225,24 @@ fn python_reads_the_same_sets_and_refuses_the_same_files() {
 
 #[test]
 fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("readers/js");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .join("readers/js");
     let small = std::fs::read(folder.join("pvs.min.mjs")).unwrap();
     assert!(small.len() < 12_000, "{} bytes", small.len());
     let source = std::fs::read_to_string(folder.join("pvs.mjs")).unwrap();
     let made: Vec<&str> = source.lines().map(str::trim_start).collect();
-    let made: Vec<&str> = made.into_iter().filter(|l| !l.is_empty() && !l.starts_with("//")).collect();
+    let made: Vec<&str> = made
+        .into_iter()
+        .filter(|l| !l.is_empty() && !l.starts_with("//"))
+        .collect();
     let is = String::from_utf8(small).unwrap();
-    assert_eq!(is.lines().skip(1).collect::<Vec<_>>(), made, "readers/js/minify.sh makes it");
+    assert_eq!(
+        is.lines().skip(1).collect::<Vec<_>>(),
+        made,
+        "readers/js/minify.sh makes it"
+    );
     let (sandbox, expected, damaged) = shared();
     sandbox.write("reader.mjs", is.as_bytes());
     let names: Vec<&str> = RESULTS.iter().map(|(name, _)| *name).collect();
@@ -196,15 +277,25 @@ fn javascript_reads_the_same_sets_and_refuses_the_same_files() {
         ),
     );
     // Node where it is; browsers are asked below.
-    match Command::new("node").arg(sandbox.path("read.mjs")).current_dir(sandbox.path(".")).output() {
+    match Command::new("node")
+        .arg(sandbox.path("read.mjs"))
+        .current_dir(sandbox.path("."))
+        .output()
+    {
         Ok(out) => {
-            assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+            assert!(
+                out.status.success(),
+                "{}",
+                String::from_utf8_lossy(&out.stderr)
+            );
             let answer: Value = serde_json::from_slice(&out.stdout).unwrap();
             check(&answer, expected, *damaged);
         }
         Err(e) => eprintln!("not run: node ({e}); the browser is asked alone"),
     }
-    let Some(browser) = Browser::start([300, 200]) else { return };
+    let Some(browser) = Browser::start([300, 200]) else {
+        return;
+    };
     let module = is.replace("export ", "").replace("</", "<\\/");
     let blocks = names.iter().map(|name| format!("{name}.pvs"));
     let blocks = blocks.chain((0..*damaged).map(|k| format!("damaged-{k}.pvs")));

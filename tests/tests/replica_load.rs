@@ -7,7 +7,12 @@
 //! The whole way is in the figure: gRPC, the passing on, the outputs' checks and files, and the database with
 //! its disk. `SIGHTLINE_WORKERS` changes the number of workers (32).
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a measurement")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a measurement"
+)]
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -35,30 +40,56 @@ fn replica<'a>(sandbox: &'a Sandbox, name: &str) -> Coordinator<'a> {
 #[test]
 #[ignore = "a measurement"]
 fn leases_and_commits_a_second_at_two_coordinators() {
-    let Some(server) = Postgres::start_with("") else { return };
+    let Some(server) = Postgres::start_with("") else {
+        return;
+    };
     let mut sandbox = Sandbox::new();
     sandbox.ok("generate rooms --triangles 2000 -o rooms.glb");
     sandbox.set("SIGHTLINE_STORE", server.url());
     let first = replica(&sandbox, "a");
-    wait_for("a leader", || first.process.err().contains("this coordinator leads").then_some(()));
+    wait_for("a leader", || {
+        first
+            .process
+            .err()
+            .contains("this coordinator leads")
+            .then_some(())
+    });
     let second = replica(&sandbox, "b");
     let job = second.submit(JOB);
     let workers = std::env::var("SIGHTLINE_WORKERS").map_or(32, |n| n.parse().unwrap());
     let work = Arc::new(Work::default());
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()
+        .unwrap();
     let begun = Instant::now();
     let _working = simulated::start(&runtime, &[&first.url, &second.url], workers, &work);
-    wait_for("the tiles", || (work.done.load(Ordering::Relaxed) >= ENOUGH).then_some(()));
-    let (took, done) = (begun.elapsed().as_secs_f64(), work.done.load(Ordering::Relaxed));
+    wait_for("the tiles", || {
+        (work.done.load(Ordering::Relaxed) >= ENOUGH).then_some(())
+    });
+    let (took, done) = (
+        begun.elapsed().as_secs_f64(),
+        work.done.load(Ordering::Relaxed),
+    );
     work.over.store(true, Ordering::Relaxed);
-    println!("{workers} workers, {done} leases and commits: {:.0} a second", done as f64 / took);
+    println!(
+        "{workers} workers, {done} leases and commits: {:.0} a second",
+        done as f64 / took
+    );
     assert!(second.count(job, "tiles_done") >= ENOUGH);
     drop(runtime);
     // The end of the leader, and the first answer of the one after it.
     let ended = Instant::now();
     first.process.kill();
     wait_for("an answer", || {
-        sandbox.run(&format!("jobs --coordinator {}", second.url)).succeeded().then_some(())
+        sandbox
+            .run(&format!("jobs --coordinator {}", second.url))
+            .succeeded()
+            .then_some(())
     });
-    println!("from the leader's end to an answer: {:.1} s", ended.elapsed().as_secs_f64());
+    println!(
+        "from the leader's end to an answer: {:.1} s",
+        ended.elapsed().as_secs_f64()
+    );
 }

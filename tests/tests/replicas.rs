@@ -36,24 +36,33 @@ fn replica<'a>(sandbox: &'a Sandbox, name: &str, arguments: &str) -> Coordinator
 /// Waits until a coordinator says that it leads.
 fn leads(coordinator: &Coordinator<'_>) {
     wait_for("a coordinator to lead", || {
-        coordinator.process.err().contains("this coordinator leads").then_some(())
+        coordinator
+            .process
+            .err()
+            .contains("this coordinator leads")
+            .then_some(())
     });
 }
 
 /// Waits until a coordinator says that another one leads.
 fn stands_by(coordinator: &Coordinator<'_>, leader: &Coordinator<'_>) {
     let text = format!("at {} leads", leader.url);
-    wait_for("a coordinator to stand by", || coordinator.process.err().contains(&text).then_some(()));
+    wait_for("a coordinator to stand by", || {
+        coordinator.process.err().contains(&text).then_some(())
+    });
 }
 
 fn number(job: &Value, key: &str) -> u64 {
-    job[key].as_u64().unwrap_or_else(|| panic!("no number '{key}' in {job}"))
+    job[key]
+        .as_u64()
+        .unwrap_or_else(|| panic!("no number '{key}' in {job}"))
 }
 
 /// What is known of a job, once an answer is had: in the middle of a change of leaders there may be none.
 fn shown(sandbox: &Sandbox, url: &str, job: u64) -> Option<Value> {
     let run: Run = sandbox.run(&format!("show {job} --json --coordinator {url}"));
-    run.succeeded().then(|| serde_json::from_str(&run.out).unwrap())
+    run.succeeded()
+        .then(|| serde_json::from_str(&run.out).unwrap())
 }
 
 /// Waits until some tiles of a job are done and some are at work.
@@ -61,7 +70,10 @@ fn in_the_middle(sandbox: &Sandbox, url: &str, job: u64) -> u64 {
     wait_for("the job's middle", || {
         let shown = shown(sandbox, url, job)?;
         let (done, total) = (number(&shown, "tiles_done"), number(&shown, "tiles_total"));
-        assert!(done < total, "the job was over before it could be disturbed; make it larger: {shown}");
+        assert!(
+            done < total,
+            "the job was over before it could be disturbed; make it larger: {shown}"
+        );
         (done > 0 && number(&shown, "tiles_running") > 0).then_some(done)
     })
 }
@@ -77,7 +89,9 @@ fn finished(sandbox: &Sandbox, url: &str, job: u64) -> Vec<u8> {
 
 #[test]
 fn a_killed_leader_is_followed_and_no_byte_changes() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let sandbox = sandbox(&server);
     let first = replica(&sandbox, "a", "");
     leads(&first);
@@ -87,19 +101,32 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
     // The scene, the job and what is asked of it go through the one that stands by.
     let job = second.submit(JOB);
     let watcher = sandbox.start(&format!("watch {job} --coordinator {}", balancer.url()));
-    let worker = format!("worker --backend cpu --threads 1 --coordinator {}", balancer.url());
+    let worker = format!(
+        "worker --backend cpu --threads 1 --coordinator {}",
+        balancer.url()
+    );
     let mut workers = [sandbox.start(&worker), sandbox.start(&worker)];
     let done = in_the_middle(&sandbox, &second.url, job);
     first.process.kill();
     balancer.lead_to(&[second.address()]);
     leads(&second);
     let after = wait_for("an answer", || shown(&sandbox, &second.url, job));
-    assert!(number(&after, "tiles_done") >= done, "acknowledged tiles are lost: {after}");
+    assert!(
+        number(&after, "tiles_done") >= done,
+        "acknowledged tiles are lost: {after}"
+    );
     // A third one follows, and answers.
     let third = replica(&sandbox, "c", "");
     stands_by(&third, &second);
-    assert_same(&finished(&sandbox, &third.url, job), &sandbox.read("alone.pvs"), "after the leader's end");
-    assert!(workers.iter_mut().all(|worker| worker.runs()), "workers outlive their coordinator");
+    assert_same(
+        &finished(&sandbox, &third.url, job),
+        &sandbox.read("alone.pvs"),
+        "after the leader's end",
+    );
+    assert!(
+        workers.iter_mut().all(|worker| worker.runs()),
+        "workers outlive their coordinator"
+    );
     watcher.end().code(0);
     assert_eq!(second.count(job, "tiles_set_aside"), 0);
     // Who is asked to end resigns, and is followed at once.
@@ -111,25 +138,42 @@ fn a_killed_leader_is_followed_and_no_byte_changes() {
 
 #[test]
 fn a_restarted_database_changes_no_byte() {
-    let Some(mut server) = Postgres::start_with("") else { return };
+    let Some(mut server) = Postgres::start_with("") else {
+        return;
+    };
     let sandbox = sandbox(&server);
     let replicas = [replica(&sandbox, "a", ""), replica(&sandbox, "b", "")];
     let balancer = Balancer::before(&replicas.each_ref().map(|replica| replica.address()));
-    let job: u64 =
-        sandbox.ok(&format!("submit {JOB} --coordinator {}", balancer.url())).trim().parse().unwrap();
-    let worker = format!("worker --backend cpu --threads 1 --coordinator {}", balancer.url());
+    let job: u64 = sandbox
+        .ok(&format!("submit {JOB} --coordinator {}", balancer.url()))
+        .trim()
+        .parse()
+        .unwrap();
+    let worker = format!(
+        "worker --backend cpu --threads 1 --coordinator {}",
+        balancer.url()
+    );
     let _workers = [sandbox.start(&worker), sandbox.start(&worker)];
     let done = in_the_middle(&sandbox, &balancer.url(), job);
     server.restart();
     let after = wait_for("an answer", || shown(&sandbox, &balancer.url(), job));
-    assert!(number(&after, "tiles_done") >= done, "acknowledged tiles are lost: {after}");
+    assert!(
+        number(&after, "tiles_done") >= done,
+        "acknowledged tiles are lost: {after}"
+    );
     let result = finished(&sandbox, &balancer.url(), job);
-    assert_same(&result, &sandbox.read("alone.pvs"), "after the database's restart");
+    assert_same(
+        &result,
+        &sandbox.read("alone.pvs"),
+        "after the database's restart",
+    );
 }
 
 #[test]
 fn who_stands_by_says_so_where_it_cannot_pass_on() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let mut sandbox = Sandbox::new();
     sandbox.set("SIGHTLINE_STORE", server.url_on_loopback());
     sandbox.set("PGPASSWORD", server.password());
@@ -140,41 +184,92 @@ fn who_stands_by_says_so_where_it_cannot_pass_on() {
     // Pages are the leader's alone.
     let (status, text) = ask(&second.pages, "GET /", "", "");
     let text = String::from_utf8(text).unwrap();
-    assert!(status == 503 && text.contains(&first.url), "{status} {text}");
+    assert!(
+        status == 503 && text.contains(&first.url),
+        "{status} {text}"
+    );
     // Its health is its own, and what the leader refuses is passed on as it is.
     second.run("show 99").code(4).says("job 99 is not known");
     drop(first);
     leads(&second);
     second.run("show 99").code(4).says("job 99 is not known");
-    wait_for("the dashboard", || (ask(&second.pages, "GET /", "", "").0 == 200).then_some(()));
+    wait_for("the dashboard", || {
+        (ask(&second.pages, "GET /", "", "").0 == 200).then_some(())
+    });
     assert!(!second.process.err().contains(server.password()));
 }
 
 #[test]
 fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let mut sandbox = Sandbox::new();
     let refused = |sandbox: &Sandbox, arguments: &str, code: i32, text: &str| {
-        let run = sandbox.run(&format!("coordinator --listen 127.0.0.1:0 --data-dir data {arguments}"));
+        let run = sandbox.run(&format!(
+            "coordinator --listen 127.0.0.1:0 --data-dir data {arguments}"
+        ));
         assert!(!run.err.contains("secret"), "{}", run.err);
         run.code(code).says(text);
     };
-    refused(&sandbox, "--store mysql://u:secret@h/d", 2, "--store is sled:DIR, memory: or postgres://");
-    refused(&sandbox, "--store postgres://u:secret@h/d?sslmode=prefer", 2, "sslmode=require");
+    refused(
+        &sandbox,
+        "--store mysql://u:secret@h/d",
+        2,
+        "--store is sled:DIR, memory: or postgres://",
+    );
+    refused(
+        &sandbox,
+        "--store postgres://u:secret@h/d?sslmode=prefer",
+        2,
+        "sslmode=require",
+    );
     // A port where nobody listens.
-    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let free = TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap();
     assert!(TcpStream::connect(free).is_err());
-    refused(&sandbox, &format!("--store postgres://u:secret@{free}/d"), 3, "does not answer");
-    refused(&sandbox, &format!("--store {}", server.url_on_loopback()), 3, "PGPASSWORD");
+    refused(
+        &sandbox,
+        &format!("--store postgres://u:secret@{free}/d"),
+        3,
+        "does not answer",
+    );
+    refused(
+        &sandbox,
+        &format!("--store {}", server.url_on_loopback()),
+        3,
+        "PGPASSWORD",
+    );
     sandbox.set("PGPASSWORD", "secret");
-    refused(&sandbox, &format!("--store {}", server.url_on_loopback()), 3, "PGPASSWORD");
+    refused(
+        &sandbox,
+        &format!("--store {}", server.url_on_loopback()),
+        3,
+        "PGPASSWORD",
+    );
     sandbox.set("PGPASSWORD", server.password());
-    let everywhere = format!("--store {} --listen 0.0.0.0:0 --allow-plaintext", server.url_on_loopback());
+    let everywhere = format!(
+        "--store {} --listen 0.0.0.0:0 --allow-plaintext",
+        server.url_on_loopback()
+    );
     let run = sandbox.run(&format!("coordinator --data-dir data {everywhere}"));
     run.code(2).says("--advertise");
-    let _one = sandbox.serve("data", &format!("--store {} --listen 127.0.0.1:0", server.url_on_loopback()));
-    refused(&sandbox, &format!("--store {}", server.url_on_loopback()), 3, "in use by another coordinator");
-    server.sql("sightline", "INSERT INTO sightline.migrations VALUES (9, now())");
+    let _one = sandbox.serve(
+        "data",
+        &format!("--store {} --listen 127.0.0.1:0", server.url_on_loopback()),
+    );
+    refused(
+        &sandbox,
+        &format!("--store {}", server.url_on_loopback()),
+        3,
+        "in use by another coordinator",
+    );
+    server.sql(
+        "sightline",
+        "INSERT INTO sightline.migrations VALUES (9, now())",
+    );
     let newer = sandbox.run(&format!(
         "coordinator --data-dir other --listen 127.0.0.1:0 --store {}",
         server.url_on_loopback()
@@ -184,7 +279,9 @@ fn a_store_that_cannot_be_used_is_refused_with_a_remedy() {
 
 #[test]
 fn records_move_into_a_database_and_back() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let sandbox = Sandbox::new();
     sandbox.ok(SCENE);
     let bytes = {
@@ -196,17 +293,25 @@ fn records_move_into_a_database_and_back() {
     let (disk, database) = ("sled:data/state", server.url());
     let verify = format!("store verify --store {database} --data-dir data");
     sandbox.ok(&format!("store migrate {disk} {database}"));
-    sandbox.run(&format!("store migrate {disk} {database}")).code(3).says("only while it is empty");
+    sandbox
+        .run(&format!("store migrate {disk} {database}"))
+        .code(3)
+        .says("only while it is empty");
     {
         let arguments = format!("--listen 127.0.0.1:0 --store {database}");
         let coordinator = sandbox.serve("data", &arguments);
         // For a moment the database still names who has moved the records.
-        wait_for("the new leader", || (!coordinator.run("jobs").err.contains("error:")).then_some(()));
+        wait_for("the new leader", || {
+            (!coordinator.run("jobs").err.contains("error:")).then_some(())
+        });
         coordinator.ok("fetch 1 -o moved.pvs");
         assert_same(&sandbox.read("moved.pvs"), &bytes, "from the database");
         let used = sandbox.run(&format!("store migrate {database} sled:back"));
         used.code(3).says("a coordinator uses the database of FROM");
-        sandbox.run(&verify).code(3).says("a coordinator uses the database of --store");
+        sandbox
+            .run(&verify)
+            .code(3)
+            .says("a coordinator uses the database of --store");
     }
     let found = sandbox.json(&verify);
     assert_eq!((&found["scenes"], &found["jobs"]), (&1.into(), &1.into()));
@@ -222,7 +327,10 @@ fn records_move_into_a_database_and_back() {
     let coordinator = sandbox.serve("data", "--listen 127.0.0.1:0 --store sled:back");
     coordinator.ok("fetch 1 -o back.pvs");
     assert_same(&sandbox.read("back.pvs"), &bytes, "back on disk");
-    sandbox.run("store migrate memory: sled:other").code(2).says("FROM is sled:DIR");
+    sandbox
+        .run("store migrate memory: sled:other")
+        .code(2)
+        .says("FROM is sled:DIR");
 }
 
 #[test]
@@ -231,7 +339,12 @@ fn a_store_in_memory_or_another_directory_serves() {
     sandbox.ok(SCENE);
     let memory = sandbox.serve("data", "--listen 127.0.0.1:0 --store memory:");
     memory.submit(JOB);
-    assert!(memory.process.err().contains("are lost when this coordinator ends"));
+    assert!(
+        memory
+            .process
+            .err()
+            .contains("are lost when this coordinator ends")
+    );
     drop(memory);
     for _ in 0..2 {
         let sled = sandbox.serve("data", "--listen 127.0.0.1:0 --store sled:elsewhere");
@@ -242,7 +355,9 @@ fn a_store_in_memory_or_another_directory_serves() {
 
 #[test]
 fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let mut sandbox = Sandbox::new();
     sandbox.set("SIGHTLINE_STORE", server.url());
     // One certificate for all, which is its own authority.
@@ -251,7 +366,9 @@ fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
     sandbox.write("farm.pem", own.cert.pem());
     sandbox.write("farm.key", own.signing_key.serialize_pem());
     for (user, scope) in [("ada", "submit"), ("smith", "worker")] {
-        let text = sandbox.ok(&format!("token new --tokens tokens.json --user {user} --scope {scope}"));
+        let text = sandbox.ok(&format!(
+            "token new --tokens tokens.json --user {user} --scope {scope}"
+        ));
         sandbox.write(&format!("{user}.token"), text);
     }
     sandbox.ok("generate town --triangles 2000 -o town.glb");
@@ -264,10 +381,20 @@ fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
     let second = replica(&sandbox, "b", guarded);
     stands_by(&second, &first);
     let ada = "--ca farm.pem --token-file ada.token";
-    let job: u64 = second.ok(&format!("submit {JOB} {ada}")).trim().parse().unwrap();
+    let job: u64 = second
+        .ok(&format!("submit {JOB} {ada}"))
+        .trim()
+        .parse()
+        .unwrap();
     // Who is unknown is told so by the leader.
-    second.run("jobs --ca farm.pem").code(4).says("needs a token");
-    second.run(&format!("workers {ada}")).code(4).says("needs the scope admin");
+    second
+        .run("jobs --ca farm.pem")
+        .code(4)
+        .says("needs a token");
+    second
+        .run(&format!("workers {ada}"))
+        .code(4)
+        .says("needs the scope admin");
     let certified = second.start(
         "worker --backend cpu --threads 1 --ca farm.pem --cert farm.pem --key farm.key --give-up-after 60",
     );
@@ -276,10 +403,15 @@ fn encrypted_calls_are_passed_on_with_their_tokens_and_certificates_are_not() {
         (log.contains("cannot pass on a certificate") && log.contains(&first.url)).then_some(())
     });
     drop(certified);
-    let worker = second.start("worker --backend cpu --threads 1 --ca farm.pem --token-file smith.token");
+    let worker =
+        second.start("worker --backend cpu --threads 1 --ca farm.pem --token-file smith.token");
     second.ok(&format!("watch {job} {ada}"));
     second.ok(&format!("fetch {job} -o passed.pvs {ada}"));
-    assert_same(&sandbox.read("passed.pvs"), &sandbox.read("alone.pvs"), "passed on");
+    assert_same(
+        &sandbox.read("passed.pvs"),
+        &sandbox.read("alone.pvs"),
+        "passed on",
+    );
     for name in ["ada", "smith"] {
         let text = String::from_utf8(sandbox.read(&format!("{name}.token"))).unwrap();
         let secret = text.trim().rsplit('_').next().unwrap();

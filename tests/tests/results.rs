@@ -21,7 +21,12 @@ fn bake(sandbox: &Sandbox, scene: &str, result: &str) {
 }
 
 fn ids(value: &Value) -> Vec<u64> {
-    value.as_array().unwrap().iter().map(|id| id.as_u64().unwrap()).collect()
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|id| id.as_u64().unwrap())
+        .collect()
 }
 
 #[test]
@@ -29,7 +34,15 @@ fn info_dump_and_query_agree() {
     let sandbox = baked();
     let info = sandbox.json("info maze.pvs");
     let dump = sandbox.dump("maze.pvs");
-    for key in ["format", "version", "triangles", "method", "cells", "view_box", "info"] {
+    for key in [
+        "format",
+        "version",
+        "triangles",
+        "method",
+        "cells",
+        "view_box",
+        "info",
+    ] {
         assert_eq!(info[key], dump.header[key], "{key}");
     }
     assert_eq!(info["cells"], 12);
@@ -39,7 +52,10 @@ fn info_dump_and_query_agree() {
     assert_eq!(info["max_visible"], *sizes.iter().max().unwrap());
     let mean = sizes.iter().sum::<u64>() as f64 / sizes.len() as f64;
     assert!((info["mean_visible"].as_f64().unwrap() - mean).abs() < 1e-9);
-    assert_eq!(info["undecided"], dump.cells.iter().map(|c| c.undecided.len()).sum::<usize>());
+    assert_eq!(
+        info["undecided"],
+        dump.cells.iter().map(|c| c.undecided.len()).sum::<usize>()
+    );
 
     for (i, cell) in dump.cells.iter().enumerate() {
         let [x, y, z] = cell.middle();
@@ -52,14 +68,23 @@ fn info_dump_and_query_agree() {
     // Without --json the ids are the last line.
     let [x, y, z] = dump.cells[0].middle();
     let text = sandbox.ok(&format!("query maze.pvs {x} {y} {z}"));
-    let listed: Vec<u64> = text.lines().last().unwrap().split(' ').map(|id| id.parse().unwrap()).collect();
+    let listed: Vec<u64> = text
+        .lines()
+        .last()
+        .unwrap()
+        .split(' ')
+        .map(|id| id.parse().unwrap())
+        .collect();
     assert_eq!(listed, dump.cells[0].visible);
 }
 
 #[test]
 fn objects_are_those_of_the_visible_triangles() {
     let sandbox = baked();
-    let objects = sandbox.json("info maze.pvs")["objects"].as_array().unwrap().clone();
+    let objects = sandbox.json("info maze.pvs")["objects"]
+        .as_array()
+        .unwrap()
+        .clone();
     let number = |o: &Value, key: &str| o[key].as_u64().unwrap();
     // Objects cover the triangles without a gap, so each triangle is one object's.
     let end = objects.iter().fold(0, |next, o| {
@@ -68,12 +93,17 @@ fn objects_are_those_of_the_visible_triangles() {
     });
     let triangles = sandbox.dump("maze.pvs");
     assert_eq!(end, triangles.header["triangles"]);
-    let of = |id: &u64| objects.partition_point(|o| number(o, "first") + number(o, "count") <= *id) as u64;
+    let of = |id: &u64| {
+        objects.partition_point(|o| number(o, "first") + number(o, "count") <= *id) as u64
+    };
     let by_object = Dump::parse(&sandbox.ok("dump maze.pvs --items objects"));
     assert_eq!(by_object.header["objects"], objects.len());
     for (a, b) in triangles.cells.iter().zip(&by_object.cells) {
         assert_eq!((a.min, a.max), (b.min, b.max));
-        assert_eq!(a.visible.iter().map(of).collect::<BTreeSet<_>>(), b.visible.iter().copied().collect());
+        assert_eq!(
+            a.visible.iter().map(of).collect::<BTreeSet<_>>(),
+            b.visible.iter().copied().collect()
+        );
         let [x, y, z] = b.middle();
         let answer = sandbox.json(&format!("query maze.pvs {x} {y} {z} --items objects"));
         assert_eq!(answer["items"], "objects");
@@ -96,9 +126,17 @@ fn object_with_witness_is_visible() {
     };
     let by_objects = Dump::parse(&sandbox.ok("dump rooms.pvs --items objects"));
     let mut mixed = 0;
-    for (cell, listed) in sandbox.dump("rooms.pvs").cells.iter().zip(&by_objects.cells) {
+    for (cell, listed) in sandbox
+        .dump("rooms.pvs")
+        .cells
+        .iter()
+        .zip(&by_objects.cells)
+    {
         let drawn: BTreeSet<u64> = cell.visible.iter().map(|id| of(*id)).collect();
-        let known = cell.visible.iter().filter(|id| !cell.undecided.contains(id));
+        let known = cell
+            .visible
+            .iter()
+            .filter(|id| !cell.undecided.contains(id));
         let seen: BTreeSet<u64> = known.map(|id| of(*id)).collect();
         let open: BTreeSet<u64> = cell.undecided.iter().map(|id| of(*id)).collect();
         mixed += open.intersection(&seen).count();
@@ -107,9 +145,15 @@ fn object_with_witness_is_visible() {
         assert_eq!(listed.undecided, undecided);
         let [x, y, z] = cell.middle();
         let answer = sandbox.json(&format!("query rooms.pvs {x} {y} {z} --items objects"));
-        assert_eq!((ids(&answer["visible"]), ids(&answer["undecided"])), (listed.visible.clone(), undecided));
+        assert_eq!(
+            (ids(&answer["visible"]), ids(&answer["undecided"])),
+            (listed.visible.clone(), undecided)
+        );
     }
-    assert!(mixed > 0, "no object has both a witness and an undecided triangle");
+    assert!(
+        mixed > 0,
+        "no object has both a witness and an undecided triangle"
+    );
 }
 
 #[test]
@@ -117,13 +161,19 @@ fn smallest_thresholds_reach_result() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate maze --grid 3x3 -o maze.glb");
     let bake = |options: &str| {
-        let cubes = "--sampler cubes --cells 1x1x1 --view-box 0,0,0,4,4,4 --resolution 16 --backend cpu";
-        sandbox.ok(&format!("bake maze.glb {cubes} {options} --data-dir data -o cubes.pvs"));
+        let cubes =
+            "--sampler cubes --cells 1x1x1 --view-box 0,0,0,4,4,4 --resolution 16 --backend cpu";
+        sandbox.ok(&format!(
+            "bake maze.glb {cubes} {options} --data-dir data -o cubes.pvs"
+        ));
         sandbox.json("info cubes.pvs")["info"].clone()
     };
     let info = bake("--error-threshold 0 --interior-threshold 0");
     assert_eq!(
-        (&info["sampling"]["error_threshold"], &info["sampling"]["interior_threshold"]),
+        (
+            &info["sampling"]["error_threshold"],
+            &info["sampling"]["interior_threshold"]
+        ),
         (&0.0.into(), &0.0.into())
     );
     // Every face of the cell is split into 4x4 squares, whose corners are cubes. Faces are separate tiles.
@@ -135,18 +185,30 @@ fn smallest_thresholds_reach_result() {
 fn a_point_outside_the_view_box_has_no_answer() {
     let sandbox = baked();
     for point in ["0 0 1e6", "-1e6 1 1", "1 nan 1", "inf 1 1"] {
-        sandbox.run(&format!("query maze.pvs {point}")).code(3).says("outside the view box").says("maze.pvs");
+        sandbox
+            .run(&format!("query maze.pvs {point}"))
+            .code(3)
+            .says("outside the view box")
+            .says("maze.pvs");
     }
     sandbox.run("query maze.pvs 1 2").code(2);
-    sandbox.run("query maze.pvs 1 2 x").code(2).says("three numbers");
-    sandbox.run("watch maze").code(2).says("named by its number");
+    sandbox
+        .run("query maze.pvs 1 2 x")
+        .code(2)
+        .says("three numbers");
+    sandbox
+        .run("watch maze")
+        .code(2)
+        .says("named by its number");
 }
 
 #[test]
 fn a_damaged_result_is_refused() {
     let sandbox = baked();
     let whole = sandbox.read("maze.pvs");
-    let lengths = (0..64).chain((64..whole.len()).step_by(89)).chain([whole.len() - 1]);
+    let lengths = (0..64)
+        .chain((64..whole.len()).step_by(89))
+        .chain([whole.len() - 1]);
     for length in lengths {
         sandbox.write("short.pvs", &whole[..length]);
         sandbox.run("info short.pvs").code(3).says("short.pvs");
@@ -158,7 +220,10 @@ fn a_damaged_result_is_refused() {
         // The commands take turns.
         let command = ["info bad.pvs", "dump bad.pvs", "query bad.pvs 1 1 1"][i % 3];
         let refused = sandbox.run(command).code(3).says("bad.pvs");
-        assert_eq!(refused.out, "", "nothing is shown of a result damaged at byte {at}");
+        assert_eq!(
+            refused.out, "",
+            "nothing is shown of a result damaged at byte {at}"
+        );
     }
     sandbox.write("long.pvs", [&whole[..], b"more"].concat());
     sandbox.run("info long.pvs").code(3);
@@ -173,7 +238,10 @@ fn what_is_no_result_is_refused() {
         for command in ["info", "dump"] {
             sandbox.run(&format!("{command} {file}")).code(3).says(file);
         }
-        sandbox.run(&format!("query {file} 1 1 1")).code(3).says(file);
+        sandbox
+            .run(&format!("query {file} 1 1 1"))
+            .code(3)
+            .says(file);
     }
 }
 
@@ -195,7 +263,13 @@ fn a_scene_and_its_mesh_are_the_same_triangles() {
 fn a_mesh_has_every_face_in_the_files_order() {
     let sandbox = Sandbox::new();
     // A pentagon, relative indices, a degenerate face, two groups: fans, in order, nothing dropped.
-    let corners = [[0., 0., 0.], [2., 0., 0.25], [3., 1., 0.], [1., 3., 0.5], [-1., 1., 0.]];
+    let corners = [
+        [0., 0., 0.],
+        [2., 0., 0.25],
+        [3., 1., 0.],
+        [1., 3., 0.5],
+        [-1., 1., 0.],
+    ];
     let mut obj = String::from("# test\n");
     for [x, y, z] in corners {
         obj += &format!("v {x} {y} {z}\n");
@@ -204,7 +278,10 @@ fn a_mesh_has_every_face_in_the_files_order() {
     sandbox.write("faces.obj", obj);
     sandbox.ok("mesh faces.obj -o faces.ply");
     let expected = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 1, 4], [0, 0, 1]];
-    assert_eq!(read_mesh(&sandbox.read("faces.ply")), expected.map(|f| f.map(|i: usize| corners[i])));
+    assert_eq!(
+        read_mesh(&sandbox.read("faces.ply")),
+        expected.map(|f| f.map(|i: usize| corners[i]))
+    );
 }
 
 /// Triangles of a binary PLY with three own vertices a triangle, x, y, z as 32-bit floats.
@@ -212,7 +289,10 @@ fn read_mesh(bytes: &[u8]) -> Vec<[[f32; 3]; 3]> {
     let end = b"end_header\n";
     let body = bytes.windows(end.len()).position(|w| w == end).unwrap() + end.len();
     let header = std::str::from_utf8(&bytes[..body]).unwrap();
-    let lines: Vec<&str> = header.lines().filter(|l| !l.starts_with("comment")).collect();
+    let lines: Vec<&str> = header
+        .lines()
+        .filter(|l| !l.starts_with("comment"))
+        .collect();
     let number = |what: &str| -> usize {
         lines
             .iter()
@@ -225,11 +305,18 @@ fn read_mesh(bytes: &[u8]) -> Vec<[[f32; 3]; 3]> {
     let (vertices, faces) = (number("element vertex"), number("element face"));
     assert_eq!(vertices, faces * 3);
     assert_eq!(lines[..2], ["ply", "format binary_little_endian 1.0"]);
-    let position =
-        |p: &str| lines.iter().position(|l| l == &p).unwrap_or_else(|| panic!("no '{p}' in {header}"));
+    let position = |p: &str| {
+        lines
+            .iter()
+            .position(|l| l == &p)
+            .unwrap_or_else(|| panic!("no '{p}' in {header}"))
+    };
     let [x, y, z] = ["property float x", "property float y", "property float z"].map(position);
     assert!(x + 1 == y && y + 1 == z, "{header}");
-    let list = lines.iter().find(|l| l.starts_with("property list")).unwrap();
+    let list = lines
+        .iter()
+        .find(|l| l.starts_with("property list"))
+        .unwrap();
     assert!(list.starts_with("property list uchar "), "{header}");
 
     let word = |at: usize| -> [u8; 4] { bytes[at..at + 4].try_into().unwrap() };
@@ -237,13 +324,21 @@ fn read_mesh(bytes: &[u8]) -> Vec<[[f32; 3]; 3]> {
         std::array::from_fn(|axis| f32::from_le_bytes(word(body + i * 12 + axis * 4)))
     };
     let first = body + vertices * 12;
-    assert_eq!(bytes.len(), first + faces * 13, "nothing but vertices and faces");
+    assert_eq!(
+        bytes.len(),
+        first + faces * 13,
+        "nothing but vertices and faces"
+    );
     (0..faces)
         .map(|f| {
             assert_eq!(bytes[first + f * 13], 3);
             std::array::from_fn(|k| {
                 let index = u32::from_le_bytes(word(first + f * 13 + 1 + k * 4));
-                assert_eq!(index as usize, f * 3 + k, "each triangle has its own vertices, in order");
+                assert_eq!(
+                    index as usize,
+                    f * 3 + k,
+                    "each triangle has its own vertices, in order"
+                );
                 corner(f * 3 + k)
             })
         })

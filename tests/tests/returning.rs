@@ -33,7 +33,9 @@ struct Session {
 
 impl Session {
     async fn say(&self, message: FromCoordinator) {
-        let message = v1::CoordinatorMessage { message: Some(message) };
+        let message = v1::CoordinatorMessage {
+            message: Some(message),
+        };
         self.says.as_ref().unwrap().send(Ok(message)).await.unwrap();
     }
 
@@ -41,7 +43,13 @@ impl Session {
     async fn hear(&mut self) -> FromWorker {
         loop {
             let next = tokio::time::timeout(Duration::from_secs(30), self.hears.next()).await;
-            match next.expect("the worker says nothing").unwrap().unwrap().message.unwrap() {
+            match next
+                .expect("the worker says nothing")
+                .unwrap()
+                .unwrap()
+                .message
+                .unwrap()
+            {
                 FromWorker::Progress(_) => {}
                 message => return message,
             }
@@ -70,12 +78,19 @@ impl Workers for Puppet {
         &self,
         r: Request<Streaming<v1::WorkerMessage>>,
     ) -> Result<Response<Self::WorkStream>, Status> {
-        let refused = self.refuses.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |n| n.checked_sub(1));
+        let refused = self
+            .refuses
+            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, |n| n.checked_sub(1));
         if refused.is_ok() {
             return Err(Status::unavailable("not yet"));
         }
         let (says, said) = mpsc::channel(16);
-        self.sessions.send(Session { hears: r.into_inner(), says: Some(says) }).unwrap();
+        self.sessions
+            .send(Session {
+                hears: r.into_inner(),
+                says: Some(says),
+            })
+            .unwrap();
         Ok(Response::new(Box::pin(ReceiverStream::new(said))))
     }
 
@@ -83,7 +98,9 @@ impl Workers for Puppet {
         &self,
         _: Request<v1::FetchSceneRequest>,
     ) -> Result<Response<Self::FetchSceneStream>, Status> {
-        Ok(Response::new(Box::pin(tokio_stream::iter(self.scene.clone().into_iter().map(Ok)))))
+        Ok(Response::new(Box::pin(tokio_stream::iter(
+            self.scene.clone().into_iter().map(Ok),
+        ))))
     }
 
     async fn fetch_pack(
@@ -101,7 +118,9 @@ impl Workers for Puppet {
         self.refuses.store(2, Ordering::Relaxed);
         drop(self.ends.lock().unwrap().take());
         tokio::time::sleep(Duration::from_millis(60)).await;
-        Err(Status::failed_precondition("this tile was not leased to anybody under this number"))
+        Err(Status::failed_precondition(
+            "this tile was not leased to anybody under this number",
+        ))
     }
 
     async fn stage_result(
@@ -123,13 +142,24 @@ impl Workers for Puppet {
 async fn job(sandbox: &Sandbox) -> (v1::JobSpec, Vec<v1::Chunk>) {
     sandbox.ok("generate maze --grid 3x3 -o maze.glb");
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    let id = coordinator.submit("maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --backend cpu");
+    let id =
+        coordinator.submit("maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --backend cpu");
     let url = tonic::transport::Channel::from_shared(coordinator.url.clone()).unwrap();
     let channel = url.connect().await.unwrap();
-    let shown = JobsClient::new(channel.clone()).show(v1::ShowRequest { job: id }).await.unwrap();
+    let shown = JobsClient::new(channel.clone())
+        .show(v1::ShowRequest { job: id })
+        .await
+        .unwrap();
     let spec = shown.into_inner().spec.unwrap();
-    let request = v1::FetchSceneRequest { digest: spec.scene.clone(), ..Default::default() };
-    let chunks = WorkersClient::new(channel).fetch_scene(request).await.unwrap().into_inner();
+    let request = v1::FetchSceneRequest {
+        digest: spec.scene.clone(),
+        ..Default::default()
+    };
+    let chunks = WorkersClient::new(channel)
+        .fetch_scene(request)
+        .await
+        .unwrap()
+        .into_inner();
     (spec, chunks.map(Result::unwrap).collect().await)
 }
 
@@ -141,34 +171,65 @@ async fn what_was_refused_without_a_connection_is_not_claimed() {
     let url = format!("http://{}", listener.local_addr().unwrap());
     let (sessions, joined) = mpsc::unbounded_channel();
     let ends = Arc::new(Mutex::new(None));
-    let puppet = Puppet { sessions, scene, ends: Arc::clone(&ends), refuses: AtomicU32::new(0) };
+    let puppet = Puppet {
+        sessions,
+        scene,
+        ends: Arc::clone(&ends),
+        refuses: AtomicU32::new(0),
+    };
     let server = tonic::transport::Server::builder().add_service(WorkersServer::new(puppet));
     tokio::spawn(server.serve_with_incoming(TcpListenerStream::new(listener)));
     let mut joined = UnboundedReceiverStream::new(joined);
-    let worker = sandbox.start(&format!("worker --backend cpu --threads 1 --coordinator {url}"));
+    let worker = sandbox.start(&format!(
+        "worker --backend cpu --threads 1 --coordinator {url}"
+    ));
 
     let mut first = joined.next().await.unwrap();
-    let FromWorker::Hello(hello) = first.hear().await else { panic!("no greeting") };
+    let FromWorker::Hello(hello) = first.hear().await else {
+        panic!("no greeting")
+    };
     assert!(hello.held.is_empty());
-    let welcome =
-        || FromCoordinator::Welcome(v1::Welcome { epoch: 1, lease_millis: 10_000, ..Default::default() });
+    let welcome = || {
+        FromCoordinator::Welcome(v1::Welcome {
+            epoch: 1,
+            lease_millis: 10_000,
+            ..Default::default()
+        })
+    };
     let two = FromWorker::Want(v1::Want { tiles: 2 });
     first.say(welcome()).await;
     assert_eq!(first.hear().await, two);
-    let lease = |tile| Some(v1::Lease { job: 1, tile, epoch: 1, lease: u64::from(tile) + 1, tag: 5 });
+    let lease = |tile| {
+        Some(v1::Lease {
+            job: 1,
+            tile,
+            epoch: 1,
+            lease: u64::from(tile) + 1,
+            tag: 5,
+        })
+    };
     let profile = hello.profiles[0].clone();
-    let grant = v1::Grant { lease: lease(0), spec: Some(spec), profile, ..v1::Grant::default() };
+    let grant = v1::Grant {
+        lease: lease(0),
+        spec: Some(spec),
+        profile,
+        ..v1::Grant::default()
+    };
     first.say(FromCoordinator::Grant(grant)).await;
     *ends.lock().unwrap() = first.says.take();
 
     // Its output was refused while it had no stream to say so.
     let mut second = joined.next().await.unwrap();
-    let FromWorker::Hello(hello) = second.hear().await else { panic!("no greeting") };
+    let FromWorker::Hello(hello) = second.hear().await else {
+        panic!("no greeting")
+    };
     assert_eq!(hello.held, [], "a tile that has ended is claimed");
     second.say(welcome()).await;
     assert_eq!(second.hear().await, two);
     // What the coordinator takes back and the worker does not hold was a hand that it did not count on.
-    second.say(FromCoordinator::Revoke(v1::Revoke { lease: lease(1) })).await;
+    second
+        .say(FromCoordinator::Revoke(v1::Revoke { lease: lease(1) }))
+        .await;
     assert_eq!(second.hear().await, two);
     worker.kill();
 }

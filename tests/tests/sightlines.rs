@@ -26,7 +26,9 @@ fn square(at: [f64; 2], half: f64, z: f64) -> Value {
 }
 
 fn lines(text: &str) -> Vec<Value> {
-    text.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
+    text.lines()
+        .map(|l| serde_json::from_str(l).unwrap())
+        .collect()
 }
 
 #[test]
@@ -53,12 +55,23 @@ fn every_query_is_answered_in_order() {
         answers.iter().map(|a| a["id"].clone()).collect::<Vec<_>>(),
         [json!("slit"), json!(2), json!([3]), json!(null), json!(5)]
     );
-    let states: Vec<&str> = answers.iter().map(|a| a["state"].as_str().unwrap()).collect();
-    assert_eq!(states, ["visible", "hidden", "visible", "visible", "visible"]);
+    let states: Vec<&str> = answers
+        .iter()
+        .map(|a| a["state"].as_str().unwrap())
+        .collect();
+    assert_eq!(
+        states,
+        ["visible", "hidden", "visible", "visible", "visible"]
+    );
     assert_eq!(answers[1]["blockers"], json!([2, 3]));
     // The witness goes through the slit.
     let point = |k: usize| -> Vec<f64> {
-        answers[0]["witness"][k].as_array().unwrap().iter().map(|c| c.as_f64().unwrap()).collect()
+        answers[0]["witness"][k]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|c| c.as_f64().unwrap())
+            .collect()
     };
     let (p, q) = (point(0), point(1));
     assert_eq!((p[2], q[2]), (0.0, 10.0));
@@ -71,12 +84,16 @@ fn every_query_is_answered_in_order() {
 fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
     let sandbox = Sandbox::new();
     sandbox.write("wall.obj", WALL);
-    let good = json!({"id": 1, "a": square([0.0, 2.0], 1.0, 0.0), "b": square([0.0, 2.0], 1.0, 10.0)});
+    let good =
+        json!({"id": 1, "a": square([0.0, 2.0], 1.0, 0.0), "b": square([0.0, 2.0], 1.0, 10.0)});
     let flat = square([0.0, 0.0], 1.0, 0.0);
     for (bad, why) in [
         (json!({"a": flat}).to_string(), "missing field `b`"),
         ("{".to_owned(), "it is no query"),
-        (json!({"a": flat, "b": [[0, 0, 1], [1, 1, 2], [2, 2, 3]]}).to_string(), "polygon b: it has no area"),
+        (
+            json!({"a": flat, "b": [[0, 0, 1], [1, 1, 2], [2, 2, 3]]}).to_string(),
+            "polygon b: it has no area",
+        ),
         (
             json!({"a": [[0, 0, 0], [4, 0, 0], [1, 1, 0], [0, 4, 0]], "b": flat}).to_string(),
             "polygon a: it is not convex",
@@ -85,15 +102,24 @@ fn what_is_no_query_is_named_after_what_came_before_it_is_answered() {
             json!({"a": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]], "b": flat}).to_string(),
             "not in one plane",
         ),
-        (json!({"a": [[1e300, 0, 0], [1, 0, 0], [1, 1, 0]], "b": flat}).to_string(), "beyond ±1e60"),
+        (
+            json!({"a": [[1e300, 0, 0], [1, 0, 0], [1, 1, 0]], "b": flat}).to_string(),
+            "beyond ±1e60",
+        ),
         ("x".repeat(1 << 20), "longer than"),
     ] {
         sandbox.write("q.jsonl", format!("{good}\n{bad}\n{good}\n"));
         let run = sandbox.run("sightlines wall.obj --queries q.jsonl").code(3);
         assert_eq!(lines(&run.out).len(), 1, "{why}");
-        assert!(run.err.contains("q.jsonl, line 2: ") && run.err.contains(why), "{why}: {}", run.err);
+        assert!(
+            run.err.contains("q.jsonl, line 2: ") && run.err.contains(why),
+            "{why}: {}",
+            run.err
+        );
     }
-    let run = sandbox.run("sightlines wall.obj --queries none.jsonl").code(3);
+    let run = sandbox
+        .run("sightlines wall.obj --queries none.jsonl")
+        .code(3);
     assert!(run.err.contains("none.jsonl cannot be read"), "{}", run.err);
 }
 
@@ -113,12 +139,16 @@ fn one_may_ask_and_wait_for_each_answer() {
     let mut output = BufReader::new(child.stdout.take().unwrap());
     for (id, state) in [(1, "hidden"), (2, "visible"), (3, "hidden")] {
         let y = if state == "hidden" { 2.0 } else { 0.0 };
-        let query = json!({"id": id, "a": square([0.0, y], 1.0, 0.0), "b": square([0.0, y], 1.0, 10.0)});
+        let query =
+            json!({"id": id, "a": square([0.0, y], 1.0, 0.0), "b": square([0.0, y], 1.0, 10.0)});
         writeln!(input, "{query}").unwrap();
         let mut line = String::new();
         output.read_line(&mut line).unwrap();
         let answer: Value = serde_json::from_str(&line).unwrap();
-        assert_eq!((&answer["id"], &answer["state"]), (&json!(id), &json!(state)));
+        assert_eq!(
+            (&answer["id"], &answer["state"]),
+            (&json!(id), &json!(state))
+        );
     }
     drop(input);
     assert!(child.wait().unwrap().success());
@@ -129,7 +159,10 @@ fn sequences_of_polygons_are_stabbed_or_blocked() {
     let sandbox = Sandbox::new();
     // Squares at z = 0 and 1, the third at z = 2 moved along x: by a 2⁻²⁰th less than 4, by 4.
     let moved = |far: &str| {
-        let x = [format!("{}/1048576", far), format!("{}/1048576", far.parse::<i64>().unwrap() + 2097152)];
+        let x = [
+            format!("{}/1048576", far),
+            format!("{}/1048576", far.parse::<i64>().unwrap() + 2097152),
+        ];
         json!([[x[0], -1, 2], [x[1], -1, 2], [x[1], 1, 2], [x[0], 1, 2]])
     };
     let (first, second) = (square([0.0, 0.0], 1.0, 0.0), square([0.0, 0.0], 1.0, 1.0));
@@ -138,7 +171,10 @@ fn sequences_of_polygons_are_stabbed_or_blocked() {
         json!({"id": "no", "portals": [first, second, moved("3145728")]}),
         json!({"id": null, "portals": [second]}),
     ];
-    sandbox.write("q.jsonl", queries.iter().map(|q| format!("{q}\n")).collect::<String>());
+    sandbox.write(
+        "q.jsonl",
+        queries.iter().map(|q| format!("{q}\n")).collect::<String>(),
+    );
     let answers = lines(&sandbox.ok("stab --queries q.jsonl"));
     let states: Vec<&Value> = answers.iter().map(|a| &a["state"]).collect();
     assert_eq!(states, ["stabbed", "blocked", "stabbed"]);
@@ -154,14 +190,30 @@ fn sequences_of_polygons_are_stabbed_or_blocked() {
     assert!(x(1.0) < 1.0 && x(2.0) > 3.0 - 2e-6, "{} {}", x(1.0), x(2.0));
     for (bad, why) in [
         (json!({"portals": []}), "no polygons"),
-        (json!({"portals": [[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]]]}), "not in one plane"),
-        (json!({"portals": [[[0, 0, "1/0"], [1, 0, 0], [1, 1, 0]]]}), "denominator of 0"),
-        (json!({"portals": [[[0, 0, "x"], [1, 0, 0], [1, 1, 0]]]}), "is no fraction"),
-        (json!({"portals": [first, [[0, 0, 1e99], [1, 0, 0], [1, 1, 0]]]}), "polygon 1: a coordinate"),
+        (
+            json!({"portals": [[[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]]]}),
+            "not in one plane",
+        ),
+        (
+            json!({"portals": [[[0, 0, "1/0"], [1, 0, 0], [1, 1, 0]]]}),
+            "denominator of 0",
+        ),
+        (
+            json!({"portals": [[[0, 0, "x"], [1, 0, 0], [1, 1, 0]]]}),
+            "is no fraction",
+        ),
+        (
+            json!({"portals": [first, [[0, 0, 1e99], [1, 0, 0], [1, 1, 0]]]}),
+            "polygon 1: a coordinate",
+        ),
         (json!({"polygons": 3}), "it is no query"),
     ] {
         sandbox.write("q.jsonl", format!("{bad}\n"));
         let run = sandbox.run("stab --queries q.jsonl").code(3);
-        assert!(run.err.contains("q.jsonl, line 1: ") && run.err.contains(why), "{why}: {}", run.err);
+        assert!(
+            run.err.contains("q.jsonl, line 1: ") && run.err.contains(why),
+            "{why}: {}",
+            run.err
+        );
     }
 }

@@ -10,7 +10,12 @@
 //! Without a time it takes half a minute. With triangles, each cell sees a random half of so many, which
 //! makes outputs of 50 kB and results of 13 MB.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "helpers of tests"
+)]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -50,22 +55,36 @@ fn state_of(job: &v1::Job) -> v1::JobState {
 }
 
 fn has_ended(job: &v1::Job) -> bool {
-    [v1::JobState::Done, v1::JobState::Cancelled, v1::JobState::Failed].contains(&state_of(job))
+    [
+        v1::JobState::Done,
+        v1::JobState::Cancelled,
+        v1::JobState::Failed,
+    ]
+    .contains(&state_of(job))
 }
 
 /// Follows a job to its end.
 async fn end(client: &mut JobsClient<Channel>, id: u64) -> v1::Job {
     let mut last = None;
-    let mut watched = client.watch(v1::ShowRequest { job: id }).await.unwrap().into_inner();
+    let mut watched = client
+        .watch(v1::ShowRequest { job: id })
+        .await
+        .unwrap()
+        .into_inner();
     while let Some(job) = watched.next().await {
         last = Some(job.unwrap());
     }
-    last.filter(has_ended).unwrap_or_else(|| panic!("the stream of job {id} ended before the job"))
+    last.filter(has_ended)
+        .unwrap_or_else(|| panic!("the stream of job {id} ended before the job"))
 }
 
 /// The bytes of a stream of chunks, which are those of the digest.
 async fn fetched(client: &mut JobsClient<Channel>, job: &v1::Job) -> u64 {
-    let mut chunks = client.fetch(v1::ShowRequest { job: job.id }).await.unwrap().into_inner();
+    let mut chunks = client
+        .fetch(v1::ShowRequest { job: job.id })
+        .await
+        .unwrap()
+        .into_inner();
     let mut hasher = blake3::Hasher::new();
     let mut bytes = 0;
     while let Some(chunk) = chunks.next().await {
@@ -73,7 +92,12 @@ async fn fetched(client: &mut JobsClient<Channel>, job: &v1::Job) -> u64 {
         hasher.update(&chunk.data);
         bytes += chunk.data.len() as u64;
     }
-    assert_eq!(hasher.finalize().as_bytes().as_slice(), job.result, "job {}", job.id);
+    assert_eq!(
+        hasher.finalize().as_bytes().as_slice(),
+        job.result,
+        "job {}",
+        job.id
+    );
     assert_eq!(bytes, job.result_bytes, "job {}", job.id);
     bytes
 }
@@ -85,10 +109,24 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
         if Instant::now() > until {
             return;
         }
-        let spec = v1::JobSpec { seed: Some(1 + own + round * CLIENTS), ..spec.clone() };
+        let spec = v1::JobSpec {
+            seed: Some(1 + own + round * CLIENTS),
+            ..spec.clone()
+        };
         let name = format!("client {own}, round {round}");
-        let submit = v1::SubmitRequest { spec: Some(spec), name, ..Default::default() };
-        let id = client.submit(submit).await.unwrap().into_inner().job.unwrap().id;
+        let submit = v1::SubmitRequest {
+            spec: Some(spec),
+            name,
+            ..Default::default()
+        };
+        let id = client
+            .submit(submit)
+            .await
+            .unwrap()
+            .into_inner()
+            .job
+            .unwrap()
+            .id;
         seen.submitted.fetch_add(1, Ordering::Relaxed);
         let show = v1::ShowRequest { job: id };
         match (own + round) % 5 {
@@ -100,7 +138,12 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
             }
             2 => {
                 // It may have ended already.
-                let paused = client.pause(v1::PauseRequest { job: id, ..Default::default() }).await;
+                let paused = client
+                    .pause(v1::PauseRequest {
+                        job: id,
+                        ..Default::default()
+                    })
+                    .await;
                 if paused.is_ok() {
                     client.resume(show).await.unwrap();
                 }
@@ -120,7 +163,11 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
         let job = end(&mut client, id).await;
         match state_of(&job) {
             v1::JobState::Done => {
-                assert_eq!((job.tiles_done, job.tiles_set_aside), (job.tiles_total, 0), "job {id}");
+                assert_eq!(
+                    (job.tiles_done, job.tiles_set_aside),
+                    (job.tiles_total, 0),
+                    "job {id}"
+                );
                 let bytes = fetched(&mut client, &job).await;
                 seen.done.fetch_add(1, Ordering::Relaxed);
                 seen.fetched.fetch_add(bytes, Ordering::Relaxed);
@@ -137,8 +184,19 @@ async fn idle_watcher(url: String, until: Instant) {
     let mut client = JobsClient::connect(url.clone()).await.unwrap();
     let mut farm = v1::farm_client::FarmClient::connect(url).await.unwrap();
     while Instant::now() < until {
-        let jobs = client.list(v1::ListRequest::default()).await.unwrap().into_inner().jobs;
-        let events = farm.events(v1::EventsRequest { follow: true, ..Default::default() }).await.unwrap();
+        let jobs = client
+            .list(v1::ListRequest::default())
+            .await
+            .unwrap()
+            .into_inner()
+            .jobs;
+        let events = farm
+            .events(v1::EventsRequest {
+                follow: true,
+                ..Default::default()
+            })
+            .await
+            .unwrap();
         let mut watched = Vec::new();
         for job in jobs.iter().take(3) {
             // It may be deleted by now.
@@ -163,11 +221,20 @@ struct Use {
 fn used(process: u32) -> Use {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
     let of = |key: &str| -> u64 {
-        let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap();
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix(key))
+            .unwrap();
         line.split_whitespace().next().unwrap().parse().unwrap()
     };
-    let files = std::fs::read_dir(format!("/proc/{process}/fd")).unwrap().count() as u64;
-    Use { kilobytes: of("VmRSS:"), files, threads: of("Threads:") }
+    let files = std::fs::read_dir(format!("/proc/{process}/fd"))
+        .unwrap()
+        .count() as u64;
+    Use {
+        kilobytes: of("VmRSS:"),
+        files,
+        threads: of("Threads:"),
+    }
 }
 
 fn median(of: &[Use], what: impl Fn(&Use) -> u64) -> u64 {
@@ -178,24 +245,46 @@ fn median(of: &[Use], what: impl Fn(&Use) -> u64) -> u64 {
 
 #[test]
 fn memory_and_files_stay_as_they_are_under_load() {
-    let (seconds, triangles) = (number("SIGHTLINE_SOAK_SECONDS", 30), number("SIGHTLINE_SOAK_TRIANGLES", 0));
+    let (seconds, triangles) = (
+        number("SIGHTLINE_SOAK_SECONDS", 30),
+        number("SIGHTLINE_SOAK_TRIANGLES", 0),
+    );
     let mut sandbox = Sandbox::new();
     // As deploy/ has it: otherwise freed memory is kept for many threads apart.
     sandbox.set("MALLOC_ARENA_MAX", "2");
-    sandbox.ok(&format!("generate town --triangles {} -o scene.glb", triangles.max(2000)));
+    sandbox.ok(&format!(
+        "generate town --triangles {} -o scene.glb",
+        triangles.max(2000)
+    ));
     let coordinator = sandbox.serve("data", "--listen 127.0.0.1:0");
     let first = coordinator.submit(JOB);
-    let work = Arc::new(Work { triangles: triangles as u32, ..Work::default() });
+    let work = Arc::new(Work {
+        triangles: triangles as u32,
+        ..Work::default()
+    });
     let seen = Arc::new(Seen::default());
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .unwrap();
     let working = simulated::start(&runtime, &[&coordinator.url], WORKERS, &work);
     coordinator.until(first, "the first job", |job| {
-        assert!(working.iter().all(|worker| !worker.is_finished()), "a worker has ended");
+        assert!(
+            working.iter().all(|worker| !worker.is_finished()),
+            "a worker has ended"
+        );
         job["state"] == "done"
     });
     let spec = runtime.block_on(async {
         let mut client = JobsClient::connect(coordinator.url.clone()).await.unwrap();
-        client.show(v1::ShowRequest { job: first }).await.unwrap().into_inner().spec.unwrap()
+        client
+            .show(v1::ShowRequest { job: first })
+            .await
+            .unwrap()
+            .into_inner()
+            .spec
+            .unwrap()
     });
 
     let rested = used(coordinator.process.id());
@@ -207,37 +296,55 @@ fn memory_and_files_stay_as_they_are_under_load() {
             runtime.spawn(client(url, own, spec, seen, until))
         })
         .collect();
-    tasks.extend((0..WATCHERS).map(|_| runtime.spawn(idle_watcher(coordinator.url.clone(), until))));
+    tasks
+        .extend((0..WATCHERS).map(|_| runtime.spawn(idle_watcher(coordinator.url.clone(), until))));
     let (mut uses, mut coming) = (Vec::new(), 0);
     while Instant::now() < until {
         std::thread::sleep(Duration::from_millis(500));
         uses.push(used(coordinator.process.id()));
         // One comes and goes.
         coming += 1;
-        let (url, name, brief) =
-            (coordinator.url.clone(), format!("brief-{coming}"), Arc::new(Work::default()));
+        let (url, name, brief) = (
+            coordinator.url.clone(),
+            format!("brief-{coming}"),
+            Arc::new(Work::default()),
+        );
         runtime.spawn(async move {
             // It goes in the middle of whatever it does.
             drop(
-                tokio::time::timeout(Duration::from_millis(300), simulated::work(&url, &name, &brief)).await,
+                tokio::time::timeout(
+                    Duration::from_millis(300),
+                    simulated::work(&url, &name, &brief),
+                )
+                .await,
             );
         });
     }
     runtime.block_on(async {
         for task in tasks {
-            tokio::time::timeout(sightline_tests::LIMIT, task).await.expect("a client hangs").unwrap();
+            tokio::time::timeout(sightline_tests::LIMIT, task)
+                .await
+                .expect("a client hangs")
+                .unwrap();
         }
         work.over.store(true, Ordering::Relaxed);
     });
     // Workers have found no fault: one that did would have ended with it.
-    assert!(working.iter().all(|worker| !worker.is_finished()), "a worker has ended");
+    assert!(
+        working.iter().all(|worker| !worker.is_finished()),
+        "a worker has ended"
+    );
     drop(runtime);
 
     let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
     let early = &uses[uses.len() / 4..uses.len() / 2];
     let late = &uses[uses.len() * 3 / 4..];
     let of = |some: &[Use]| {
-        (median(some, |u| u.kilobytes), median(some, |u| u.files), median(some, |u| u.threads))
+        (
+            median(some, |u| u.kilobytes),
+            median(some, |u| u.files),
+            median(some, |u| u.threads),
+        )
     };
     println!(
         "{seconds} s: {} jobs, {} done and {} cancelled, {} outputs of {} MB, {} MB of results fetched; \
@@ -251,17 +358,35 @@ fn memory_and_files_stay_as_they_are_under_load() {
         of(early),
         of(late),
     );
-    assert!(count(&seen.done) > 5 && count(&seen.cancelled) > 0, "nothing happened");
+    assert!(
+        count(&seen.done) > 5 && count(&seen.cancelled) > 0,
+        "nothing happened"
+    );
     let (before, after) = (of(early), of(late));
     // The store's cache (64 MB), the last events (8 MB) and what the allocator keeps back grow to their
     // bounds, the faster the more outputs come; a leak of the hour-long run is far more.
-    assert!(after.0 < before.0 + 40_960, "memory grew from {} to {} kB", before.0, after.0);
-    assert!(after.1 < before.1 + 40, "open files grew from {} to {}", before.1, after.1);
+    assert!(
+        after.0 < before.0 + 40_960,
+        "memory grew from {} to {} kB",
+        before.0,
+        after.0
+    );
+    assert!(
+        after.1 < before.1 + 40,
+        "open files grew from {} to {}",
+        before.1,
+        after.1
+    );
     // Threads that block come with load, in bursts, and stay for ten seconds after it. Quarters that are long
     // beside that are alike, and what is left after the load was leaked.
     let warm = of(&uses[uses.len() / 2..uses.len() * 3 / 4]);
     let is_long = seconds >= 120;
-    assert!(!is_long || after.2 < warm.2 + 8, "threads grew from {} to {}", warm.2, after.2);
+    assert!(
+        !is_long || after.2 < warm.2 + 8,
+        "threads grew from {} to {}",
+        warm.2,
+        after.2
+    );
     let idle = Instant::now() + Duration::from_secs(30);
     loop {
         let threads = used(coordinator.process.id()).threads;

@@ -11,7 +11,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap()
+        .to_owned()
 }
 
 /// The names of all crates that `package` depends on, directly or not, without its tests' dependencies.
@@ -31,21 +34,41 @@ fn dependencies(package: &str) -> BTreeSet<String> {
         .current_dir(root())
         .output()
         .unwrap();
-    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    assert!(
+        out.status.success(),
+        "{}",
+        String::from_utf8_lossy(&out.stderr)
+    );
     let text = String::from_utf8(out.stdout).unwrap();
-    text.lines().skip(1).filter_map(|l| l.split(' ').next()).map(str::to_owned).collect()
+    text.lines()
+        .skip(1)
+        .filter_map(|l| l.split(' ').next())
+        .map(str::to_owned)
+        .collect()
 }
 
 /// The crates of this workspace among [`dependencies`].
 fn ours(package: &str) -> Vec<String> {
-    dependencies(package).into_iter().filter(|d| d.starts_with("sightline")).collect()
+    dependencies(package)
+        .into_iter()
+        .filter(|d| d.starts_with("sightline"))
+        .collect()
 }
 
 #[test]
 fn the_coordinator_knows_no_tracer_and_no_search() {
     let all = dependencies("sightline-coordinator");
-    for foreign in ["wgpu", "libloading", "sightline-sampling", "sightline-exact", "sightline-bake"] {
-        assert!(!all.contains(foreign), "sightline-coordinator depends on {foreign}");
+    for foreign in [
+        "wgpu",
+        "libloading",
+        "sightline-sampling",
+        "sightline-exact",
+        "sightline-bake",
+    ] {
+        assert!(
+            !all.contains(foreign),
+            "sightline-coordinator depends on {foreign}"
+        );
     }
 }
 
@@ -62,10 +85,16 @@ fn the_reader_of_results_stands_alone() {
 
 #[test]
 fn looking_from_a_point_needs_no_tracer() {
-    assert_eq!(ours("sightline-tetra"), ["sightline-numbers", "sightline-scene"]);
+    assert_eq!(
+        ours("sightline-tetra"),
+        ["sightline-numbers", "sightline-scene"]
+    );
     let all = dependencies("sightline-tetra");
     for foreign in ["wgpu", "libloading"] {
-        assert!(!all.contains(foreign), "sightline-tetra depends on {foreign}");
+        assert!(
+            !all.contains(foreign),
+            "sightline-tetra depends on {foreign}"
+        );
     }
 }
 
@@ -77,10 +106,16 @@ fn traces_know_nothing_of_what_is_traced() {
 #[test]
 fn libraries_know_no_network_and_no_store() {
     let libraries = std::fs::read_dir(root().join("crates")).unwrap();
-    for name in libraries.map(|e| e.unwrap().file_name().into_string().unwrap()).filter(|n| n != "cli") {
+    for name in libraries
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .filter(|n| n != "cli")
+    {
         let all = dependencies(&format!("sightline-{name}"));
         for foreign in ["tokio", "tonic", "sled"] {
-            assert!(!all.contains(foreign), "sightline-{name} depends on {foreign}");
+            assert!(
+                !all.contains(foreign),
+                "sightline-{name} depends on {foreign}"
+            );
         }
     }
 }
@@ -89,7 +124,12 @@ fn libraries_know_no_network_and_no_store() {
 fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>) {
     for entry in std::fs::read_dir(dir).unwrap().map(|e| e.unwrap().path()) {
         let stem = entry.file_stem().unwrap().to_str().unwrap().to_owned();
-        let child = || path.iter().cloned().chain([stem.clone()]).collect::<Vec<_>>();
+        let child = || {
+            path.iter()
+                .cloned()
+                .chain([stem.clone()])
+                .collect::<Vec<_>>()
+        };
         if entry.is_dir() {
             modules(&entry, &child(), out);
         } else if entry.extension().is_some_and(|e| e == "rs") {
@@ -103,11 +143,19 @@ fn modules(dir: &Path, path: &[String], out: &mut BTreeMap<Vec<String>, PathBuf>
 fn code(file: &Path) -> String {
     let text = std::fs::read_to_string(file).unwrap();
     // A test module in the file is its last part; one in another file is only declared.
-    let cuts =
-        ["#[cfg(test)]\nmod ", "#[cfg(test)]\npub mod "].into_iter().flat_map(|m| text.match_indices(m));
-    let inline =
-        |at: &usize| text[*at..].find(['{', ';']).is_some_and(|end| text[*at + end..].starts_with('{'));
-    let text = &text[..cuts.map(|(at, _)| at).filter(inline).min().unwrap_or(text.len())];
+    let cuts = ["#[cfg(test)]\nmod ", "#[cfg(test)]\npub mod "]
+        .into_iter()
+        .flat_map(|m| text.match_indices(m));
+    let inline = |at: &usize| {
+        text[*at..]
+            .find(['{', ';'])
+            .is_some_and(|end| text[*at + end..].starts_with('{'))
+    };
+    let text = &text[..cuts
+        .map(|(at, _)| at)
+        .filter(inline)
+        .min()
+        .unwrap_or(text.len())];
     let lines = text.lines().map(|l| l.split("//").next().unwrap());
     lines.collect::<Vec<_>>().join("\n")
 }
@@ -127,7 +175,11 @@ fn named(text: &str, own: &[String], children: &[&String]) -> Vec<Vec<String>> {
             continue;
         }
         let mut rest = &text[start..];
-        let mut base: Vec<String> = if word == "crate::" { Vec::new() } else { own.to_vec() };
+        let mut base: Vec<String> = if word == "crate::" {
+            Vec::new()
+        } else {
+            own.to_vec()
+        };
         while let Some(more) = rest.strip_prefix("super::") {
             base.pop();
             rest = more;
@@ -156,12 +208,18 @@ fn named(text: &str, own: &[String], children: &[&String]) -> Vec<Vec<String>> {
 /// Writes out `a::{b, c::d}` below `base`.
 fn expand(tree: &str, base: &[String], out: &mut Vec<Vec<String>>) {
     let tree = tree.trim();
-    let (head, group) = tree.split_once('{').map_or((tree, None), |(h, g)| (h, Some(g)));
+    let (head, group) = tree
+        .split_once('{')
+        .map_or((tree, None), |(h, g)| (h, Some(g)));
     let head = head.split_whitespace().next().unwrap_or("");
     let path: Vec<String> = base
         .iter()
         .cloned()
-        .chain(head.split("::").filter(|s| !s.is_empty() && *s != "self").map(str::to_owned))
+        .chain(
+            head.split("::")
+                .filter(|s| !s.is_empty() && *s != "self")
+                .map(str::to_owned),
+        )
         .collect();
     let Some(group) = group else {
         out.push(path);
@@ -196,8 +254,15 @@ fn home<'a>(
     if defines(&text, item) {
         return module;
     }
-    for statement in text.split_inclusive(';').filter(|s| s.trim_start().starts_with("pub use")) {
-        let tree = statement.trim().trim_start_matches("pub use").trim_end_matches(';').trim();
+    for statement in text
+        .split_inclusive(';')
+        .filter(|s| s.trim_start().starts_with("pub use"))
+    {
+        let tree = statement
+            .trim()
+            .trim_start_matches("pub use")
+            .trim_end_matches(';')
+            .trim();
         let (base, tree) = match tree.strip_prefix("crate::") {
             Some(rest) => (&[][..], rest),
             None => (&module[..], tree.strip_prefix("self::").unwrap_or(tree)),
@@ -205,7 +270,9 @@ fn home<'a>(
         let mut paths = Vec::new();
         expand(tree, base, &mut paths);
         for path in paths.iter().filter(|p| p.last() == Some(item)) {
-            let target = (0..path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
+            let target = (0..path.len())
+                .rev()
+                .find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
                 return home(target, Some(item), files);
             }
@@ -222,13 +289,19 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
     for (module, file) in &files {
         let text = code(file);
         // Re-exports only shorten paths.
-        let statements = text.split_inclusive(';').filter(|s| !s.trim_start().starts_with("pub use"));
+        let statements = text
+            .split_inclusive(';')
+            .filter(|s| !s.trim_start().starts_with("pub use"));
         let text: String = statements.collect();
-        let children = files.keys().filter(|f| f.len() == module.len() + 1 && f.starts_with(module));
+        let children = files
+            .keys()
+            .filter(|f| f.len() == module.len() + 1 && f.starts_with(module));
         let children: Vec<&String> = children.filter_map(|f| f.last()).collect();
         for path in named(&text, module, &children) {
             // The longest part of the path that is a file: the rest of the path is an item of that file.
-            let target = (0..=path.len()).rev().find_map(|n| files.get_key_value(&path[..n]));
+            let target = (0..=path.len())
+                .rev()
+                .find_map(|n| files.get_key_value(&path[..n]));
             if let Some((target, _)) = target.filter(|(t, _)| *t != module) {
                 let end = home(target, path.get(target.len()), &files);
                 if end != module {
@@ -250,8 +323,11 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
     }
     let mut found = BTreeSet::new();
     for (module, seen) in &reach {
-        let circle: Vec<String> =
-            seen.iter().filter(|o| reach[*o].contains(module)).map(|o| o.join("::")).collect();
+        let circle: Vec<String> = seen
+            .iter()
+            .filter(|o| reach[*o].contains(module))
+            .map(|o| o.join("::"))
+            .collect();
         if !circle.is_empty() {
             found.insert(circle);
         }
@@ -261,27 +337,45 @@ fn circles(source: &Path) -> Vec<Vec<String>> {
 
 /// Whether a file defines an item of that name itself.
 fn defines(text: &str, item: &str) -> bool {
-    let words: Vec<&str> = text.split(|c: char| !(c.is_alphanumeric() || c == '_')).collect();
+    let words: Vec<&str> = text
+        .split(|c: char| !(c.is_alphanumeric() || c == '_'))
+        .collect();
     words.windows(2).any(|w| {
-        matches!(w[0], "fn" | "struct" | "enum" | "trait" | "type" | "const" | "static" | "union")
-            && w[1] == item
+        matches!(
+            w[0],
+            "fn" | "struct" | "enum" | "trait" | "type" | "const" | "static" | "union"
+        ) && w[1] == item
     })
 }
 
 #[test]
 fn no_modules_import_each_other_in_a_circle() {
     let root = root();
-    let mut crates: Vec<PathBuf> =
-        ["coordinator", "worker", "traces", "proto", "python"].iter().map(|c| root.join(c)).collect();
-    crates.extend(std::fs::read_dir(root.join("crates")).unwrap().map(|e| e.unwrap().path()));
+    let mut crates: Vec<PathBuf> = ["coordinator", "worker", "traces", "proto", "python"]
+        .iter()
+        .map(|c| root.join(c))
+        .collect();
+    crates.extend(
+        std::fs::read_dir(root.join("crates"))
+            .unwrap()
+            .map(|e| e.unwrap().path()),
+    );
     crates.sort();
     let mut found = Vec::new();
     for one in crates {
         for circle in circles(&one.join("src")) {
-            found.push(format!("{}: {}", one.strip_prefix(&root).unwrap().display(), circle.join(", ")));
+            found.push(format!(
+                "{}: {}",
+                one.strip_prefix(&root).unwrap().display(),
+                circle.join(", ")
+            ));
         }
     }
-    assert!(found.is_empty(), "modules that import each other:\n{}", found.join("\n"));
+    assert!(
+        found.is_empty(),
+        "modules that import each other:\n{}",
+        found.join("\n")
+    );
 }
 
 #[test]
@@ -296,9 +390,15 @@ fn a_circle_is_found_and_a_re_export_is_none() {
     write("b.rs", "pub struct B;\nfn f(a: &super::a::A) {}\n");
     assert_eq!(circles(dir.path()), [["a", "b"]]);
     write("b.rs", "pub struct B;\nfn f(c: crate::C) {}\n");
-    write("lib.rs", "mod a;\nmod b;\nmod c;\npub use a::A;\npub use c::C;\n");
+    write(
+        "lib.rs",
+        "mod a;\nmod b;\nmod c;\npub use a::A;\npub use c::C;\n",
+    );
     assert_eq!(circles(dir.path()), [["a", "b", "c"]]);
-    write("b.rs", "pub struct B;\n#[cfg(test)]\nmod tests { use crate::a::A; }\n");
+    write(
+        "b.rs",
+        "pub struct B;\n#[cfg(test)]\nmod tests { use crate::a::A; }\n",
+    );
     assert!(circles(dir.path()).is_empty());
 }
 
@@ -323,6 +423,10 @@ fn ci_program_sets_ci() {
             None => command.env_remove("CI"),
         };
         let out = command.output().unwrap();
-        assert_eq!(String::from_utf8_lossy(&out.stdout), "true", "with CI={before:?} before");
+        assert_eq!(
+            String::from_utf8_lossy(&out.stdout),
+            "true",
+            "with CI={before:?} before"
+        );
     }
 }

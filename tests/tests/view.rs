@@ -9,25 +9,47 @@ use sightline_tests::{Browser, Sandbox, across, ask, house, wait_for};
 fn sandbox() -> Sandbox {
     let sandbox = Sandbox::new();
     // A wall at x = 2 leaves y from 1 to 2 open; the shelf stands behind it.
-    let shelf = [[2.2, 0.1, 0.5], [2.5, 0.1, 0.5], [2.5, 0.1, 1.0], [2.2, 0.1, 1.0]];
-    sandbox.write("house.obj", house(&[("wall", across(2.0, [0.0, 1.0], [0.0, 2.0])), ("shelf", shelf)]));
+    let shelf = [
+        [2.2, 0.1, 0.5],
+        [2.5, 0.1, 0.5],
+        [2.5, 0.1, 1.0],
+        [2.2, 0.1, 1.0],
+    ];
+    sandbox.write(
+        "house.obj",
+        house(&[
+            ("wall", across(2.0, [0.0, 1.0], [0.0, 2.0])),
+            ("shelf", shelf),
+        ]),
+    );
     let boxes = "--view-box 0.25,0.25,0.25,3.65,0.9,1.75 --cells 2x1x1";
-    sandbox.ok(&format!("bake house.obj -o house.pvs --method exact --backend cpu {boxes}"));
+    sandbox.ok(&format!(
+        "bake house.obj -o house.pvs --method exact --backend cpu {boxes}"
+    ));
     sandbox
 }
 
 fn text(browser: &Browser, id: &str) -> String {
-    browser.run(&format!("return document.getElementById('{id}').textContent")).as_str().unwrap().to_owned()
+    browser
+        .run(&format!(
+            "return document.getElementById('{id}').textContent"
+        ))
+        .as_str()
+        .unwrap()
+        .to_owned()
 }
 
 #[test]
 fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs house.obj --cell 0 -o house.html");
-    let Some(browser) = Browser::start([1000, 700]) else { return };
+    let Some(browser) = Browser::start([1000, 700]) else {
+        return;
+    };
     browser.open(&format!("file://{}", sandbox.path("house.html").display()));
     // Looks east, at the wall and over it.
-    let ready = "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]); return page !== null;";
+    let ready =
+        "const page = await sightline; page.jump([0.5, 0.8, 1], [1, 0, 0]); return page !== null;";
     assert_eq!(browser.run(ready), true);
     let status = text(&browser, "status");
     assert!(status.contains("Cell 0 of 2"), "{status}");
@@ -39,11 +61,17 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
     let shelf = "page.choose(page.pvs.objects.find((o) => o.name === 'shelf').first);";
     state(shelf);
     let why = text(&browser, "why");
-    assert!(why.contains("“shelf” is hidden from cell 0") && why.contains("“wall”"), "{why}");
+    assert!(
+        why.contains("“shelf” is hidden from cell 0") && why.contains("“wall”"),
+        "{why}"
+    );
     // A click in the middle of the window meets the wall or what is seen over it.
     browser.click(700, 350);
     let why = text(&browser, "why");
-    assert!(why.contains("is visible from cell 0") && why.contains("A free segment"), "{why}");
+    assert!(
+        why.contains("is visible from cell 0") && why.contains("A free segment"),
+        "{why}"
+    );
     assert_eq!(state("return page.answer.seen.length"), 3);
     // What is hidden is red only when it is asked for.
     let reds = "const gl = page.renderer.gl, w = gl.drawingBufferWidth, h = gl.drawingBufferHeight;
@@ -55,17 +83,26 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
         return n;";
     assert_eq!(state(reds), 0);
     // From above the wall, with the set frozen, the shelf would be in view.
-    let over = "document.getElementById('freeze').click(); page.jump([1.9, 1.9, 0.75], [0.3, -1, 0]);";
-    state(&format!("{over} document.getElementById('hidden').click();"));
+    let over =
+        "document.getElementById('freeze').click(); page.jump([1.9, 1.9, 0.75], [0.3, -1, 0]);";
+    state(&format!(
+        "{over} document.getElementById('hidden').click();"
+    ));
     let count = state(reds).as_u64().unwrap();
     assert!(count > 100, "{count} red pixels");
-    assert_eq!(state("document.getElementById('hidden').click(); return page.cell"), 0);
+    assert_eq!(
+        state("document.getElementById('hidden').click(); return page.cell"),
+        0
+    );
     // Another cell, from the panel.
     state(
         "document.getElementById('freeze').click(); document.getElementById('cell').value = 1;
         document.getElementById('go').click();",
     );
-    assert_eq!(state("return [page.cell, page.drawn]"), serde_json::json!([1, dump.cells[1].visible.len()]));
+    assert_eq!(
+        state("return [page.cell, page.drawn]"),
+        serde_json::json!([1, dump.cells[1].visible.len()])
+    );
     state("document.getElementById('cell').value = 7; document.getElementById('go').click();");
     assert!(text(&browser, "note").contains("no cell 7"));
     assert_eq!(browser.messages(), Vec::<String>::new());
@@ -75,7 +112,9 @@ fn a_page_shows_the_cell_answers_clicks_and_is_quiet() {
 #[test]
 fn rays_find_the_hole_and_end_where_nothing_blocks() {
     let sandbox = Sandbox::new();
-    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .unwrap();
     let folder = root.join("crates/view/page");
     let modules = ["math.mjs", "trace.mjs", "why.mjs"].map(|name| {
         let text = std::fs::read_to_string(folder.join(name)).unwrap();
@@ -106,13 +145,18 @@ fn rays_find_the_hole_and_end_where_nothing_blocks() {
         modules.concat()
     );
     sandbox.write("rays.html", page);
-    let Some(browser) = Browser::start([300, 200]) else { return };
+    let Some(browser) = Browser::start([300, 200]) else {
+        return;
+    };
     browser.open(&format!("file://{}", sandbox.path("rays.html").display()));
     let answer = browser.run("return globalThis.answer");
     assert_eq!(browser.messages(), Vec::<String>::new());
     let width = answer["width"].as_f64().unwrap();
     assert!((0.19..0.29).contains(&width), "{answer}");
-    assert_eq!((&answer["seen"], &answer["near"], &answer["none"]), (&3.into(), &0.into(), &(-1).into()));
+    assert_eq!(
+        (&answer["seen"], &answer["near"], &answer["none"]),
+        (&3.into(), &0.into(), &(-1).into())
+    );
     assert_eq!(answer["level"], serde_json::json!([1, 1]));
 }
 
@@ -125,7 +169,9 @@ fn exact_results_are_not_accused() {
         "bake rooms.glb -o rooms.pvs --cells walls:9 --reachable-from 2,1.5,3 --method exact --backend cpu",
     );
     sandbox.ok("view rooms.pvs rooms.glb -o rooms.html");
-    let Some(browser) = Browser::start([500, 400]) else { return };
+    let Some(browser) = Browser::start([500, 400]) else {
+        return;
+    };
     browser.open(&format!("file://{}", sandbox.path("rooms.html").display()));
     let accused = browser.run(
         "const page = await sightline; let asked = 0, missed = 0;
@@ -146,7 +192,10 @@ fn exact_results_are_not_accused() {
     sandbox.ok("bake rooms.glb -o glass.pvs --see-through * --cells 2x1x2 --backend cpu");
     sandbox.ok("view glass.pvs rooms.glb -o glass.html");
     browser.open(&format!("file://{}", sandbox.path("glass.html").display()));
-    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 4);
+    assert_eq!(
+        browser.run("const page = await sightline; return page.pvs.cells"),
+        4
+    );
     assert_eq!(browser.messages(), Vec::<String>::new());
 }
 
@@ -154,7 +203,9 @@ fn exact_results_are_not_accused() {
 fn a_picture_is_the_same_every_time_and_differs_between_cells() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs house.obj -o house.html");
-    let Some(browser) = Browser::start([800, 600]) else { return };
+    let Some(browser) = Browser::start([800, 600]) else {
+        return;
+    };
     browser.open(&format!("file://{}", sandbox.path("house.html").display()));
     let at = |x: f32| {
         browser.run(&format!(
@@ -173,14 +224,27 @@ fn a_picture_is_the_same_every_time_and_differs_between_cells() {
 fn a_served_page_answers_its_own_name_alone() {
     let sandbox = sandbox();
     let view = sandbox.start("view house.pvs house.obj --no-open");
-    let line = wait_for("the address of the page", || Some(view.out()).filter(|out| out.contains("shows")));
+    let line = wait_for("the address of the page", || {
+        Some(view.out()).filter(|out| out.contains("shows"))
+    });
     let url = line.split(' ').next().unwrap().to_owned();
-    let Some(browser) = Browser::start([800, 600]) else { return };
+    let Some(browser) = Browser::start([800, 600]) else {
+        return;
+    };
     browser.open(&url);
-    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 2);
+    assert_eq!(
+        browser.run("const page = await sightline; return page.pvs.cells"),
+        2
+    );
     browser.open(&url.replace("127.0.0.1", "localhost"));
-    assert_eq!(browser.run("const page = await sightline; return page.pvs.cells"), 2);
-    assert_eq!(browser.run("return document.title"), "house.pvs – house.obj");
+    assert_eq!(
+        browser.run("const page = await sightline; return page.pvs.cells"),
+        2
+    );
+    assert_eq!(
+        browser.run("return document.title"),
+        "house.pvs – house.obj"
+    );
     // The server decides exactly what is clicked.
     let asked = |object: &str, first: &str| {
         browser.run(&format!(
@@ -192,19 +256,50 @@ fn a_served_page_answers_its_own_name_alone() {
         ))
     };
     let hidden = asked("shelf", "of.first");
-    assert!(hidden[0].as_str().unwrap().contains("hidden, decided exactly"), "{hidden}");
-    assert!(hidden[0].as_str().unwrap().contains("“wall”") && hidden[1].as_u64() > Some(0), "{hidden}");
-    let seen =
-        asked("wall", "[...Array(of.count).keys()].map((k) => of.first + k).find((k) => page.state[k] & 1)");
-    assert!(seen[0].as_str().unwrap().contains("visible, decided exactly"), "{seen}");
+    assert!(
+        hidden[0]
+            .as_str()
+            .unwrap()
+            .contains("hidden, decided exactly"),
+        "{hidden}"
+    );
+    assert!(
+        hidden[0].as_str().unwrap().contains("“wall”") && hidden[1].as_u64() > Some(0),
+        "{hidden}"
+    );
+    let seen = asked(
+        "wall",
+        "[...Array(of.count).keys()].map((k) => of.first + k).find((k) => page.state[k] & 1)",
+    );
+    assert!(
+        seen[0]
+            .as_str()
+            .unwrap()
+            .contains("visible, decided exactly"),
+        "{seen}"
+    );
     assert_eq!(browser.messages(), Vec::<String>::new());
-    let pages = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let pages = url
+        .trim_start_matches("http://")
+        .trim_end_matches('/')
+        .to_owned();
     let why = |headers: &str, body: &str| ask(&pages, "POST /why", headers, body).0;
     let json = "content-type: application/json\r\n";
     assert_eq!(why(json, r#"{"cell":0,"triangle":0}"#), 200);
-    assert_eq!(why(&format!("{json}origin: http://example.org\r\n"), r#"{"cell":0,"triangle":0}"#), 403);
+    assert_eq!(
+        why(
+            &format!("{json}origin: http://example.org\r\n"),
+            r#"{"cell":0,"triangle":0}"#
+        ),
+        403
+    );
     assert_eq!(why("", r#"{"cell":0,"triangle":0}"#), 400);
-    for bad in ["", "[]", r#"{"cell":2,"triangle":0}"#, r#"{"cell":0,"triangle":4000000000}"#] {
+    for bad in [
+        "",
+        "[]",
+        r#"{"cell":2,"triangle":0}"#,
+        r#"{"cell":0,"triangle":4000000000}"#,
+    ] {
         assert_eq!(why(json, bad), 400, "{bad}");
     }
 }
@@ -213,7 +308,9 @@ fn a_served_page_answers_its_own_name_alone() {
 fn without_a_scene_cells_are_drawn() {
     let sandbox = sandbox();
     sandbox.ok("view house.pvs -o cells.html");
-    let Some(browser) = Browser::start([800, 600]) else { return };
+    let Some(browser) = Browser::start([800, 600]) else {
+        return;
+    };
     browser.open(&format!("file://{}", sandbox.path("cells.html").display()));
     browser.run("await sightline;");
     assert!(text(&browser, "note").contains("Without the scene"));
@@ -224,13 +321,34 @@ fn without_a_scene_cells_are_drawn() {
 fn bad_input_is_told() {
     let sandbox = sandbox();
     sandbox.ok("generate rooms --grid 2x2 --triangles 800 -o other.glb");
-    sandbox.run("view house.pvs other.glb -o x.html").code(3).says("baked from another scene");
-    sandbox.run("view house.obj -o x.html").code(3).says("not a .pvs file");
-    sandbox.run("view house.pvs house.obj --cell 2 -o x.html").code(2).says("has 2 cells");
+    sandbox
+        .run("view house.pvs other.glb -o x.html")
+        .code(3)
+        .says("baked from another scene");
+    sandbox
+        .run("view house.obj -o x.html")
+        .code(3)
+        .says("not a .pvs file");
+    sandbox
+        .run("view house.pvs house.obj --cell 2 -o x.html")
+        .code(2)
+        .says("has 2 cells");
     sandbox.write("worst.json", "{}");
-    sandbox.run("view house.pvs house.obj --worst worst.json -o x.html").code(3).says("no list \"worst\"");
-    sandbox.run("view house.pvs house.obj -o house.obj").code(2).says("house.obj");
-    sandbox.run("bake house.obj -o x.pvs --view --json").code(2).says("--view serves a page");
-    sandbox.write("worst.json", sandbox.ok("measure house.obj house.pvs --viewpoints 4 --backend cpu"));
+    sandbox
+        .run("view house.pvs house.obj --worst worst.json -o x.html")
+        .code(3)
+        .says("no list \"worst\"");
+    sandbox
+        .run("view house.pvs house.obj -o house.obj")
+        .code(2)
+        .says("house.obj");
+    sandbox
+        .run("bake house.obj -o x.pvs --view --json")
+        .code(2)
+        .says("--view serves a page");
+    sandbox.write(
+        "worst.json",
+        sandbox.ok("measure house.obj house.pvs --viewpoints 4 --backend cpu"),
+    );
     sandbox.ok("view house.pvs house.obj --worst worst.json -o x.html");
 }

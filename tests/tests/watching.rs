@@ -16,7 +16,10 @@ fn metrics_of(out: &str) -> Option<String> {
 }
 
 fn address_of(metrics: &str) -> String {
-    metrics.trim_start_matches("http://").trim_end_matches("/metrics").to_owned()
+    metrics
+        .trim_start_matches("http://")
+        .trim_end_matches("/metrics")
+        .to_owned()
 }
 
 /// The samples of a page of metrics, by name with labels.
@@ -29,14 +32,18 @@ fn samples(at: &str) -> BTreeMap<String, f64> {
         let (name, value) = line.rsplit_once(' ').unwrap();
         (name.to_owned(), value.parse().unwrap())
     };
-    text.lines().filter(|line| !line.starts_with('#')).map(sample).collect()
+    text.lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(sample)
+        .collect()
 }
 
 #[test]
 fn metrics_follow_a_job_and_the_log_is_json() {
     let sandbox = Sandbox::new();
     sandbox.ok("generate town --triangles 2000 -o town.glb");
-    let arguments = "--listen 127.0.0.1:0 --metrics-listen 127.0.0.1:0 --log-format json --spot-check 1";
+    let arguments =
+        "--listen 127.0.0.1:0 --metrics-listen 127.0.0.1:0 --log-format json --spot-check 1";
     let coordinator = sandbox.serve("data", arguments);
     let at = address_of(&coordinator.metrics);
     assert_eq!(ask(&at, "GET /readyz", "", "").0, 200);
@@ -45,13 +52,20 @@ fn metrics_follow_a_job_and_the_log_is_json() {
     let worker = "worker --backend cpu --threads 1 --metrics-listen 127.0.0.1:0 --log-format json";
     let workers = [coordinator.start(worker), coordinator.start(worker)];
     let of_worker = wait_for("a worker's metrics", || metrics_of(&workers[0].out()));
-    wait_for("a ready worker", || (ask(&of_worker, "GET /readyz", "", "").0 == 200).then_some(()));
+    wait_for("a ready worker", || {
+        (ask(&of_worker, "GET /readyz", "", "").0 == 200).then_some(())
+    });
     let job = coordinator.submit(JOB);
     let bytes = coordinator.finish(job);
     sandbox.ok(&format!("bake {JOB} -o alone.pvs"));
     assert_same(&bytes, &sandbox.read("alone.pvs"), "checked and alone");
     let now = samples(&at);
-    let sum = |name: &str| now.iter().filter(|(n, _)| n.starts_with(name)).map(|(_, v)| v).sum::<f64>();
+    let sum = |name: &str| {
+        now.iter()
+            .filter(|(n, _)| n.starts_with(name))
+            .map(|(_, v)| v)
+            .sum::<f64>()
+    };
     let tiles = coordinator.count(job, "tiles_done") as f64;
     assert!(tiles > 1.0);
     assert_eq!(sum("sightline_tile_seconds_count"), tiles);
@@ -65,17 +79,28 @@ fn metrics_follow_a_job_and_the_log_is_json() {
     let all = done + samples(&other)["sightline_worker_tiles_total{outcome=\"done\"}"];
     assert_eq!(all, 2.0 * tiles);
     for text in [coordinator.process.err(), workers[0].err()] {
-        let lines: Vec<Value> = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+        let lines: Vec<Value> = text
+            .lines()
+            .filter_map(|line| serde_json::from_str(line).ok())
+            .collect();
         assert!(lines.iter().any(|line| line["level"] == "INFO"), "{text}");
     }
     let log = coordinator.process.err();
-    let submitted = log.lines().find(|line| line.contains("is submitted")).unwrap();
+    let submitted = log
+        .lines()
+        .find(|line| line.contains("is submitted"))
+        .unwrap();
     let submitted: Value = serde_json::from_str(submitted).unwrap();
     assert_eq!(submitted["span"]["method"], "Jobs/Submit");
     assert!(!submitted["span"]["id"].as_str().unwrap().is_empty());
     // The time line has each tile twice.
-    let trace: Value = serde_json::from_str(&coordinator.ok(&format!("logs {job} --trace"))).unwrap();
-    let spans = trace["traceEvents"].as_array().unwrap().iter().filter(|event| event["ph"] == "X");
+    let trace: Value =
+        serde_json::from_str(&coordinator.ok(&format!("logs {job} --trace"))).unwrap();
+    let spans = trace["traceEvents"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|event| event["ph"] == "X");
     assert!(spans.count() as f64 >= tiles);
 }
 
@@ -89,16 +114,28 @@ fn a_store_is_verified_moved_and_compacted() {
         let job = coordinator.submit(JOB);
         let bytes = coordinator.finish(job);
         // The directory is in use.
-        sandbox.run("store verify --data-dir data").code(3).says("in use by another coordinator");
+        sandbox
+            .run("store verify --data-dir data")
+            .code(3)
+            .says("in use by another coordinator");
         // What is not believed is computed again, with the same bytes.
         coordinator.ok(&format!("invalidate {job}"));
         assert_same(&coordinator.finish(job), &bytes, "computed again");
         coordinator.run("invalidate").code(2);
-        coordinator.run("invalidate 77").code(4).says("job 77 is not known");
+        coordinator
+            .run("invalidate 77")
+            .code(4)
+            .says("job 77 is not known");
         // 0 is the number of no job, and does not stand for all of them.
-        coordinator.run("invalidate 0 --worker any").code(4).says("job 0 is not known");
+        coordinator
+            .run("invalidate 0 --worker any")
+            .code(4)
+            .says("job 0 is not known");
         coordinator.run("logs 0").code(4).says("job 0 is not known");
-        coordinator.run("workers --release nobody").code(3).says("no worker named nobody is quarantined");
+        coordinator
+            .run("workers --release nobody")
+            .code(3)
+            .says("no worker named nobody is quarantined");
         bytes
     };
     let found = sandbox.json("store verify --data-dir data");
@@ -108,7 +145,10 @@ fn a_store_is_verified_moved_and_compacted() {
     // A store that was moved by export, import and a copy of the blobs goes on.
     sandbox.ok("store export --data-dir data -o records.json");
     sandbox.ok("store import records.json --data-dir moved");
-    sandbox.run("store import records.json --data-dir moved").code(3).says("only while it is empty");
+    sandbox
+        .run("store import records.json --data-dir moved")
+        .code(3)
+        .says("only while it is empty");
     std::fs::rename(sandbox.path("data/blobs"), sandbox.path("moved/blobs")).unwrap();
     {
         let coordinator = sandbox.coordinator("moved", "127.0.0.1:0");
@@ -118,11 +158,17 @@ fn a_store_is_verified_moved_and_compacted() {
     // A flipped bit in the result is found, and the result computed again.
     let result = std::fs::read_dir(sandbox.path("moved/blobs")).unwrap();
     let files: Vec<_> = result.flatten().flat_map(|d| walk(&d.path())).collect();
-    let of_result = files.iter().find(|path| std::fs::read(path).unwrap() == bytes).unwrap();
+    let of_result = files
+        .iter()
+        .find(|path| std::fs::read(path).unwrap() == bytes)
+        .unwrap();
     let mut damaged = bytes.clone();
     damaged[bytes.len() / 2] ^= 1;
     std::fs::write(of_result, damaged).unwrap();
-    sandbox.run("store verify --data-dir moved").code(3).says("first the result of job 1");
+    sandbox
+        .run("store verify --data-dir moved")
+        .code(3)
+        .says("first the result of job 1");
     sandbox.ok("store verify --data-dir moved --repair");
     let coordinator = sandbox.coordinator("moved", "127.0.0.1:0");
     let _worker = coordinator.worker();
@@ -130,10 +176,21 @@ fn a_store_is_verified_moved_and_compacted() {
     // Altered exports are refused.
     let text = String::from_utf8(sandbox.read("records.json")).unwrap();
     sandbox.write("cut.json", &text[..text.len() / 2]);
-    sandbox.run("store import cut.json --data-dir other").code(3);
-    sandbox.write("other.json", text.replacen("sightline.store", "something else", 1));
-    sandbox.run("store import other.json --data-dir other").code(3).says("no export of a store");
-    sandbox.run("store verify --data-dir nowhere").code(3).says("no data directory");
+    sandbox
+        .run("store import cut.json --data-dir other")
+        .code(3);
+    sandbox.write(
+        "other.json",
+        text.replacen("sightline.store", "something else", 1),
+    );
+    sandbox
+        .run("store import other.json --data-dir other")
+        .code(3)
+        .says("no export of a store");
+    sandbox
+        .run("store verify --data-dir nowhere")
+        .code(3)
+        .says("no data directory");
 }
 
 /// The files below a folder.
@@ -141,7 +198,11 @@ fn walk(path: &std::path::Path) -> Vec<std::path::PathBuf> {
     if !path.is_dir() {
         return vec![path.to_owned()];
     }
-    std::fs::read_dir(path).unwrap().flatten().flat_map(|entry| walk(&entry.path())).collect()
+    std::fs::read_dir(path)
+        .unwrap()
+        .flatten()
+        .flat_map(|entry| walk(&entry.path()))
+        .collect()
 }
 
 #[test]
@@ -157,7 +218,11 @@ fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
         coordinator.until(job, "a tile", |now| now["tiles_done"].as_u64() > Some(0));
         std::fs::create_dir_all(backup.join("state")).unwrap();
         for name in ["journal.mark", "journal"] {
-            std::fs::copy(sandbox.path("data/state").join(name), backup.join("state").join(name)).unwrap();
+            std::fs::copy(
+                sandbox.path("data/state").join(name),
+                backup.join("state").join(name),
+            )
+            .unwrap();
         }
         // The job may end now, which removes outputs that the copied journal names.
         coordinator.finish(job);
@@ -167,7 +232,11 @@ fn a_copy_that_was_made_in_the_middle_of_a_job_goes_on() {
     sandbox.ok("store verify --repair --data-dir backup");
     let coordinator = sandbox.coordinator("backup", "127.0.0.1:0");
     let _worker = coordinator.worker();
-    assert_same(&coordinator.finish(1), &sandbox.read("alone.pvs"), "from the copy");
+    assert_same(
+        &coordinator.finish(1),
+        &sandbox.read("alone.pvs"),
+        "from the copy",
+    );
 }
 
 fn copy(from: &std::path::Path, to: &std::path::Path) {

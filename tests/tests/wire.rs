@@ -16,11 +16,18 @@ const SCENE: &str = "generate maze --grid 3x3 -o maze.glb";
 const JOB: &str = "maze.glb --sampler cubes --cells 4x4x2 --resolution 32 --backend cpu";
 
 async fn connect(coordinator: &Coordinator<'_>) -> Channel {
-    Channel::from_shared(coordinator.url.clone()).unwrap().connect().await.unwrap()
+    Channel::from_shared(coordinator.url.clone())
+        .unwrap()
+        .connect()
+        .await
+        .unwrap()
 }
 
 fn scene_of(digest: &[u8]) -> v1::FetchSceneRequest {
-    v1::FetchSceneRequest { digest: digest.to_vec(), ..Default::default() }
+    v1::FetchSceneRequest {
+        digest: digest.to_vec(),
+        ..Default::default()
+    }
 }
 
 /// Returns the introduction of a worker that lies.
@@ -34,17 +41,28 @@ fn liar(profiles: &[String]) -> v1::Hello {
 }
 
 fn pack_of(digest: &[u8]) -> v1::FetchPackRequest {
-    v1::FetchPackRequest { digest: digest.to_vec(), ..Default::default() }
+    v1::FetchPackRequest {
+        digest: digest.to_vec(),
+        ..Default::default()
+    }
 }
 
 fn chunk(data: &[u8]) -> v1::Chunk {
     let (crc32c, total) = (crc32c::crc32c(data), data.len() as u64);
-    v1::Chunk { data: data.to_vec(), crc32c, offset: 0, total, address: None }
+    v1::Chunk {
+        data: data.to_vec(),
+        crc32c,
+        offset: 0,
+        total,
+        address: None,
+    }
 }
 
 #[track_caller]
 fn refused<T>(answer: Result<T, Status>, code: Code) -> String {
-    let Err(status) = answer else { panic!("was not refused as {code:?}") };
+    let Err(status) = answer else {
+        panic!("was not refused as {code:?}")
+    };
     assert_eq!(status.code(), code, "{status:?}");
     assert!(status.message().len() > 10, "says too little: {status:?}");
     status.message().to_owned()
@@ -56,54 +74,116 @@ async fn requests_are_refused_with_the_right_code() {
     sandbox.ok(SCENE);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
     let channel = connect(&coordinator).await;
-    let (mut jobs, mut workers) = (JobsClient::new(channel.clone()), WorkersClient::new(channel));
+    let (mut jobs, mut workers) = (
+        JobsClient::new(channel.clone()),
+        WorkersClient::new(channel),
+    );
 
     // Chunks: damaged on the way, too large, good, and good again.
     let mut damaged = chunk(b"some bytes");
     damaged.crc32c ^= 1;
-    refused(jobs.put_chunks(tokio_stream::iter([damaged])).await, Code::DataLoss);
+    refused(
+        jobs.put_chunks(tokio_stream::iter([damaged])).await,
+        Code::DataLoss,
+    );
     let digest = blake3::hash(b"some bytes").as_bytes().to_vec();
     let missing = |jobs: &mut JobsClient<Channel>| {
-        let (mut jobs, asked) = (jobs.clone(), v1::MissingChunksRequest { digests: vec![digest.clone()] });
-        async move { jobs.missing_chunks(asked).await.unwrap().into_inner().digests }
+        let (mut jobs, asked) = (
+            jobs.clone(),
+            v1::MissingChunksRequest {
+                digests: vec![digest.clone()],
+            },
+        );
+        async move {
+            jobs.missing_chunks(asked)
+                .await
+                .unwrap()
+                .into_inner()
+                .digests
+        }
     };
-    assert_eq!(missing(&mut jobs).await, std::slice::from_ref(&digest), "a damaged chunk is not kept");
+    assert_eq!(
+        missing(&mut jobs).await,
+        std::slice::from_ref(&digest),
+        "a damaged chunk is not kept"
+    );
     for _ in 0..2 {
-        let put = jobs.put_chunks(tokio_stream::iter([chunk(b"some bytes")])).await.unwrap();
+        let put = jobs
+            .put_chunks(tokio_stream::iter([chunk(b"some bytes")]))
+            .await
+            .unwrap();
         assert_eq!(put.into_inner().chunks, 1);
     }
     assert!(missing(&mut jobs).await.is_empty());
-    refused(jobs.put_chunks(tokio_stream::iter([chunk(&vec![0; (1 << 20) + 1])])).await, Code::DataLoss);
+    refused(
+        jobs.put_chunks(tokio_stream::iter([chunk(&vec![0; (1 << 20) + 1])]))
+            .await,
+        Code::DataLoss,
+    );
 
     // Digests: malformed, of no blob, of a blob that is no scene.
     for length in [0, 1, 31, 33, 1000] {
         let bad = vec![7; length];
-        let request = v1::MissingChunksRequest { digests: vec![digest.clone(), bad.clone()] };
+        let request = v1::MissingChunksRequest {
+            digests: vec![digest.clone(), bad.clone()],
+        };
         refused(jobs.missing_chunks(request).await, Code::InvalidArgument);
-        let request = v1::PutSceneRequest { chunks: vec![], digest: bad.clone() };
+        let request = v1::PutSceneRequest {
+            chunks: vec![],
+            digest: bad.clone(),
+        };
         refused(jobs.put_scene(request).await, Code::InvalidArgument);
-        refused(workers.fetch_scene(scene_of(&bad)).await, Code::InvalidArgument);
-        refused(workers.fetch_pack(pack_of(&bad)).await, Code::InvalidArgument);
-        let staged = v1::StageResultRequest { lease: None, sha256: bad, bytes: 1 };
+        refused(
+            workers.fetch_scene(scene_of(&bad)).await,
+            Code::InvalidArgument,
+        );
+        refused(
+            workers.fetch_pack(pack_of(&bad)).await,
+            Code::InvalidArgument,
+        );
+        let staged = v1::StageResultRequest {
+            lease: None,
+            sha256: bad,
+            bytes: 1,
+        };
         refused(workers.stage_result(staged).await, Code::InvalidArgument);
     }
     let nothing = vec![9; 32];
-    refused(workers.fetch_scene(scene_of(&nothing)).await, Code::NotFound);
+    refused(
+        workers.fetch_scene(scene_of(&nothing)).await,
+        Code::NotFound,
+    );
     refused(workers.fetch_pack(pack_of(&nothing)).await, Code::NotFound);
     let put = |chunks: &[&Vec<u8>], digest: &Vec<u8>| v1::PutSceneRequest {
         chunks: chunks.iter().map(|c| c.to_vec()).collect(),
         digest: digest.clone(),
     };
-    refused(jobs.put_scene(put(&[&nothing], &nothing)).await, Code::FailedPrecondition);
-    refused(jobs.put_scene(put(&[&digest], &nothing)).await, Code::InvalidArgument);
-    refused(jobs.put_scene(put(&[&digest], &digest)).await, Code::InvalidArgument);
+    refused(
+        jobs.put_scene(put(&[&nothing], &nothing)).await,
+        Code::FailedPrecondition,
+    );
+    refused(
+        jobs.put_scene(put(&[&digest], &nothing)).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        jobs.put_scene(put(&[&digest], &digest)).await,
+        Code::InvalidArgument,
+    );
 
     // Jobs that do not exist.
     let unknown = || v1::ShowRequest { job: 4711 };
     refused(jobs.show(unknown()).await, Code::NotFound);
     refused(jobs.watch(unknown()).await, Code::NotFound);
     refused(jobs.cancel(unknown()).await, Code::NotFound);
-    refused(jobs.pause(v1::PauseRequest { job: 4711, now: true }).await, Code::NotFound);
+    refused(
+        jobs.pause(v1::PauseRequest {
+            job: 4711,
+            now: true,
+        })
+        .await,
+        Code::NotFound,
+    );
     refused(jobs.delete(unknown()).await, Code::NotFound);
     refused(jobs.fetch_partial(unknown()).await, Code::NotFound);
     refused(jobs.resume(unknown()).await, Code::NotFound);
@@ -112,8 +192,17 @@ async fn requests_are_refused_with_the_right_code() {
 
     // Invalid jobs.
     let good = coordinator.submit(&format!("{JOB} --request-id good"));
-    let spec = jobs.show(v1::ShowRequest { job: good }).await.unwrap().into_inner().spec.unwrap();
-    refused(jobs.fetch(v1::ShowRequest { job: good }).await, Code::FailedPrecondition);
+    let spec = jobs
+        .show(v1::ShowRequest { job: good })
+        .await
+        .unwrap()
+        .into_inner()
+        .spec
+        .unwrap();
+    refused(
+        jobs.fetch(v1::ShowRequest { job: good }).await,
+        Code::FailedPrecondition,
+    );
     let submit = |request_id: &str, change: &dyn Fn(&mut v1::JobSpec)| {
         let (mut jobs, mut spec) = (jobs.clone(), spec.clone());
         change(&mut spec);
@@ -129,16 +218,46 @@ async fn requests_are_refused_with_the_right_code() {
     assert!(answer.existing && answer.job.unwrap().id == good);
     // Without a name of its own a request is known by its job.
     assert!(submit("", &|_| {}).await.unwrap().into_inner().existing);
-    refused(submit(&"long".repeat(100), &|_| {}).await, Code::InvalidArgument);
-    refused(submit("good", &|s| s.seed = Some(1)).await, Code::InvalidArgument);
-    refused(submit("a", &|s| s.scene = vec![9; 32]).await, Code::NotFound);
-    refused(submit("b", &|s| s.scene = vec![9; 5]).await, Code::InvalidArgument);
-    refused(submit("d", &|s| s.view_box.truncate(5)).await, Code::InvalidArgument);
-    refused(submit("e", &|s| s.view_box[3] = f32::NAN).await, Code::InvalidArgument);
-    refused(submit("g", &|s| s.sampling.as_mut().unwrap().resolution = Some(1)).await, Code::InvalidArgument);
-    let grid = |n| Some(v1::job_spec::Division::Grid(v1::Grid { x: Some(n), y: Some(n), z: Some(n) }));
+    refused(
+        submit(&"long".repeat(100), &|_| {}).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        submit("good", &|s| s.seed = Some(1)).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        submit("a", &|s| s.scene = vec![9; 32]).await,
+        Code::NotFound,
+    );
+    refused(
+        submit("b", &|s| s.scene = vec![9; 5]).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        submit("d", &|s| s.view_box.truncate(5)).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        submit("e", &|s| s.view_box[3] = f32::NAN).await,
+        Code::InvalidArgument,
+    );
+    refused(
+        submit("g", &|s| s.sampling.as_mut().unwrap().resolution = Some(1)).await,
+        Code::InvalidArgument,
+    );
+    let grid = |n| {
+        Some(v1::job_spec::Division::Grid(v1::Grid {
+            x: Some(n),
+            y: Some(n),
+            z: Some(n),
+        }))
+    };
     for n in [0, 1 << 14, u32::MAX] {
-        refused(submit("h", &|s| s.division = grid(n)).await, Code::InvalidArgument);
+        refused(
+            submit("h", &|s| s.division = grid(n)).await,
+            Code::InvalidArgument,
+        );
     }
     let no_spec = v1::SubmitRequest {
         request_id: "i".to_owned(),
@@ -149,14 +268,24 @@ async fn requests_are_refused_with_the_right_code() {
     refused(jobs.clone().submit(no_spec).await, Code::InvalidArgument);
     // Exact queries take triangles as seen from both sides.
     let culled = coordinator.submit(&format!("{JOB} --cull-back-faces --request-id culled"));
-    let culled = jobs.clone().show(v1::ShowRequest { job: culled }).await.unwrap().into_inner().spec.unwrap();
+    let culled = jobs
+        .clone()
+        .show(v1::ShowRequest { job: culled })
+        .await
+        .unwrap()
+        .into_inner()
+        .spec
+        .unwrap();
     assert_ne!(culled.scene, spec.scene);
     let exact = |s: &mut v1::JobSpec| {
         (s.scene, s.method) = (culled.scene.clone(), Some(v1::Method::Exact as i32));
     };
     assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("culled"));
     // An empty view box stands for the scene's bounds, as on the command line.
-    let answer = submit("j", &|s| s.view_box.clear()).await.unwrap().into_inner();
+    let answer = submit("j", &|s| s.view_box.clear())
+        .await
+        .unwrap()
+        .into_inner();
     assert!(answer.existing && answer.job.unwrap().id == good);
 
     // Results without a header, for no lease, for no job.
@@ -170,15 +299,36 @@ async fn requests_are_refused_with_the_right_code() {
         })
     };
     let body = || part(v1::result_part::Part::Chunk(chunk(b"x")));
-    let lease = |job| Some(v1::Lease { job, tile: 0, epoch: 1, lease: 1, tag: 0 });
-    let mut put = async |parts: Vec<v1::ResultPart>| workers.put_result(tokio_stream::iter(parts)).await;
+    let lease = |job| {
+        Some(v1::Lease {
+            job,
+            tile: 0,
+            epoch: 1,
+            lease: 1,
+            tag: 0,
+        })
+    };
+    let mut put =
+        async |parts: Vec<v1::ResultPart>| workers.put_result(tokio_stream::iter(parts)).await;
     refused(put(vec![]).await, Code::InvalidArgument);
     refused(put(vec![body()]).await, Code::InvalidArgument);
-    refused(put(vec![part(header(None)), body()]).await, Code::InvalidArgument);
+    refused(
+        put(vec![part(header(None)), body()]).await,
+        Code::InvalidArgument,
+    );
     // Whatever follows, the lease is checked first.
-    refused(put(vec![part(header(lease(good)))]).await, Code::FailedPrecondition);
-    refused(put(vec![part(header(lease(good))), body()]).await, Code::FailedPrecondition);
-    refused(put(vec![part(header(lease(4711))), body()]).await, Code::FailedPrecondition);
+    refused(
+        put(vec![part(header(lease(good)))]).await,
+        Code::FailedPrecondition,
+    );
+    refused(
+        put(vec![part(header(lease(good))), body()]).await,
+        Code::FailedPrecondition,
+    );
+    refused(
+        put(vec![part(header(lease(4711))), body()]).await,
+        Code::FailedPrecondition,
+    );
 
     // A worker that does not introduce itself properly.
     let want = v1::worker_message::Message::Want(v1::Want { tiles: 1 });
@@ -190,10 +340,16 @@ async fn requests_are_refused_with_the_right_code() {
             ..Default::default()
         })
     };
-    for first in
-        [want, hello("", &["cpu/x"]), hello("w", &[]), hello("w\n", &["cpu/x"]), hello("w", &["cpü"])]
-    {
-        let messages = tokio_stream::iter([v1::WorkerMessage { message: Some(first) }]);
+    for first in [
+        want,
+        hello("", &["cpu/x"]),
+        hello("w", &[]),
+        hello("w\n", &["cpu/x"]),
+        hello("w", &["cpü"]),
+    ] {
+        let messages = tokio_stream::iter([v1::WorkerMessage {
+            message: Some(first),
+        }]);
         refused(workers.work(messages).await, Code::InvalidArgument);
     }
 }
@@ -212,20 +368,33 @@ async fn health_and_reflection_answer() {
     let channel = connect(&coordinator).await;
     let mut health = HealthClient::new(channel.clone());
     for service in ["", "sightline.v1.Jobs", "sightline.v1.Workers"] {
-        let asked = HealthCheckRequest { service: service.to_owned() };
+        let asked = HealthCheckRequest {
+            service: service.to_owned(),
+        };
         assert_eq!(
             health.check(asked).await.unwrap().into_inner().status(),
             ServingStatus::Serving,
             "{service}"
         );
     }
-    let asked = HealthCheckRequest { service: "sightline.v1.Nonsense".to_owned() };
-    assert_eq!(health.check(asked).await.unwrap_err().code(), Code::NotFound);
+    let asked = HealthCheckRequest {
+        service: "sightline.v1.Nonsense".to_owned(),
+    };
+    assert_eq!(
+        health.check(asked).await.unwrap_err().code(),
+        Code::NotFound
+    );
 
     let mut reflection = ServerReflectionClient::new(channel);
     let mut ask = async |request| -> ServerReflectionResponse {
-        let request = ServerReflectionRequest { host: String::new(), message_request: Some(request) };
-        let stream = reflection.server_reflection_info(tokio_stream::iter([request])).await.unwrap();
+        let request = ServerReflectionRequest {
+            host: String::new(),
+            message_request: Some(request),
+        };
+        let stream = reflection
+            .server_reflection_info(tokio_stream::iter([request]))
+            .await
+            .unwrap();
         stream.into_inner().next().await.unwrap().unwrap()
     };
     let answer = ask(MessageRequest::ListServices(String::new())).await;
@@ -233,12 +402,22 @@ async fn health_and_reflection_answer() {
         panic!("{answer:?}")
     };
     let names: Vec<_> = list.service.iter().map(|s| s.name.as_str()).collect();
-    for service in ["sightline.v1.Jobs", "sightline.v1.Workers", "grpc.health.v1.Health"] {
+    for service in [
+        "sightline.v1.Jobs",
+        "sightline.v1.Workers",
+        "grpc.health.v1.Health",
+    ] {
         assert!(names.contains(&service), "{names:?}");
     }
-    let answer = ask(MessageRequest::FileContainingSymbol("sightline.v1.Jobs.Submit".to_owned())).await;
+    let answer = ask(MessageRequest::FileContainingSymbol(
+        "sightline.v1.Jobs.Submit".to_owned(),
+    ))
+    .await;
     assert!(
-        matches!(answer.message_response, Some(MessageResponse::FileDescriptorResponse(_))),
+        matches!(
+            answer.message_response,
+            Some(MessageResponse::FileDescriptorResponse(_))
+        ),
         "{answer:?}"
     );
 }
@@ -253,7 +432,11 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     let profiles = sightline_tests::wait_for("a worker", || {
         let listed = coordinator.json("workers");
         let profiles = listed[0]["profiles"].as_array()?.iter();
-        Some(profiles.map(|profile| profile.as_str().unwrap().to_owned()).collect::<Vec<_>>())
+        Some(
+            profiles
+                .map(|profile| profile.as_str().unwrap().to_owned())
+                .collect::<Vec<_>>(),
+        )
     });
     honest.kill();
     let job = coordinator.submit(JOB);
@@ -262,7 +445,13 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     {
         let mut workers = WorkersClient::new(connect(&coordinator).await);
         let (say, said) = tokio::sync::mpsc::channel(16);
-        let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+        let send = async |message| {
+            say.send(v1::WorkerMessage {
+                message: Some(message),
+            })
+            .await
+            .unwrap()
+        };
         send(v1::worker_message::Message::Hello(liar(&profiles))).await;
         let said = tokio_stream::wrappers::ReceiverStream::new(said);
         let mut heard = workers.work(said).await.unwrap().into_inner();
@@ -278,11 +467,16 @@ async fn a_second_result_for_a_tile_is_kept_out() {
         while heard.next().await.is_some() {}
     }
     let honest = coordinator.worker();
-    coordinator.until(job, "some tiles done", |job| job["tiles_done"].as_u64().unwrap() >= 10);
+    coordinator.until(job, "some tiles done", |job| {
+        job["tiles_done"].as_u64().unwrap() >= 10
+    });
     coordinator.ok(&format!("pause {job}"));
     honest.kill();
     let shown = coordinator.json(&format!("show {job}"));
-    assert_eq!(shown["state"], "paused", "the job was over before it could be disturbed: {shown}");
+    assert_eq!(
+        shown["state"], "paused",
+        "the job was over before it could be disturbed: {shown}"
+    );
     coordinator.ok(&format!("resume {job}"));
 
     // This worker claims the same profile and asks for tiles until it gets one that needs finished tiles.
@@ -290,7 +484,13 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     use v1::worker_message::Message as Said;
     let mut workers = WorkersClient::new(connect(&coordinator).await);
     let (say, said) = tokio::sync::mpsc::channel(16);
-    let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+    let send = async |message| {
+        say.send(v1::WorkerMessage {
+            message: Some(message),
+        })
+        .await
+        .unwrap()
+    };
     send(Said::Hello(liar(&profiles))).await;
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
     let mut heard = workers.work(said).await.unwrap().into_inner();
@@ -308,18 +508,32 @@ async fn a_second_result_for_a_tile_is_kept_out() {
             other => panic!("{other:?}"),
         }
     };
-    let (_, plan) =
-        sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None).unwrap().plan().unwrap();
+    let (_, plan) = sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None)
+        .unwrap()
+        .plan()
+        .unwrap();
     let lease = grant.lease.unwrap();
     let needs = &plan.tiles[lease.tile as usize].needs;
     let known = |tile: &u32| olds.iter().find(|old| old.tile == *tile).copied();
-    let (at, finished) = needs.iter().map(known).enumerate().find_map(|(at, old)| Some((at, old?))).unwrap();
-    let mut stream = workers.fetch_pack(pack_of(&grant.packs[at])).await.unwrap().into_inner();
+    let (at, finished) = needs
+        .iter()
+        .map(known)
+        .enumerate()
+        .find_map(|(at, old)| Some((at, old?)))
+        .unwrap();
+    let mut stream = workers
+        .fetch_pack(pack_of(&grant.packs[at]))
+        .await
+        .unwrap()
+        .into_inner();
     let mut genuine = Vec::new();
     while let Some(chunk) = stream.next().await {
         genuine.extend(chunk.unwrap().data);
     }
-    assert_eq!(blake3::hash(&genuine).as_bytes().as_slice(), grant.packs[at]);
+    assert_eq!(
+        blake3::hash(&genuine).as_bytes().as_slice(),
+        grant.packs[at]
+    );
 
     let mut put = async |lease, bytes: &[u8], announced: &[u8]| {
         let header = v1::ResultHeader {
@@ -340,26 +554,51 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     // The same result again is accepted.
     put(finished, &genuine, &genuine).await.unwrap();
     for lease in [finished, lease] {
-        refused(put(lease, b"garbage", b"garbage").await, Code::InvalidArgument);
+        refused(
+            put(lease, b"garbage", b"garbage").await,
+            Code::InvalidArgument,
+        );
         refused(put(lease, b"", b"").await, Code::InvalidArgument);
-        refused(put(lease, &genuine[..genuine.len() - 5], &genuine).await, Code::DataLoss);
+        refused(
+            put(lease, &genuine[..genuine.len() - 5], &genuine).await,
+            Code::DataLoss,
+        );
     }
     // The lease of one tile is not valid for another tile, and a client cannot forge a lease.
     for forged in [
-        v1::Lease { tile: finished.tile, ..lease },
-        v1::Lease { tile: u32::MAX, ..lease },
-        v1::Lease { epoch: 0, lease: 0, ..lease },
+        v1::Lease {
+            tile: finished.tile,
+            ..lease
+        },
+        v1::Lease {
+            tile: u32::MAX,
+            ..lease
+        },
+        v1::Lease {
+            epoch: 0,
+            lease: 0,
+            ..lease
+        },
         v1::Lease { tag: 0, ..lease },
     ] {
         let status = put(forged, empty, empty).await.unwrap_err();
         assert_eq!(status.code(), Code::FailedPrecondition, "{status}");
-        assert!(status.message().contains(&format!("lease {} of epoch", forged.lease)), "{status}");
+        assert!(
+            status
+                .message()
+                .contains(&format!("lease {} of epoch", forged.lease)),
+            "{status}"
+        );
     }
     if plan.tiles[lease.tile as usize].kind == sightline_viewcells::TileKind::Leaf {
         // Samples in place of cells.
         refused(put(lease, empty, empty).await, Code::InvalidArgument);
     }
-    assert!(coordinator.process.err().contains("TWO RESULTS"), "{}", coordinator.process.err());
+    assert!(
+        coordinator.process.err().contains("TWO RESULTS"),
+        "{}",
+        coordinator.process.err()
+    );
 
     // The worker leaves for good, so its tiles are free at once, and an honest worker finishes the job.
     assert_eq!(coordinator.count(job, "tiles_running"), leases);
@@ -368,7 +607,11 @@ async fn a_second_result_for_a_tile_is_kept_out() {
     while heard.next().await.is_some() {}
     assert_eq!(coordinator.count(job, "tiles_running"), 0);
     let _honest = coordinator.worker();
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after a conflict");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after a conflict",
+    );
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
 }
 
@@ -379,7 +622,13 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
     let mut tiles = Vec::new();
     for name in ["one", "two", "three"] {
         let (say, said) = tokio::sync::mpsc::channel(16);
-        let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await.unwrap();
+        let send = async |message| {
+            say.send(v1::WorkerMessage {
+                message: Some(message),
+            })
+            .await
+            .unwrap()
+        };
         send(Said::Hello(v1::Hello {
             name: name.to_owned(),
             profiles: vec![profile.to_owned()],
@@ -388,7 +637,11 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
         }))
         .await;
         let said = tokio_stream::wrappers::ReceiverStream::new(said);
-        let mut heard = WorkersClient::new(channel.clone()).work(said).await.unwrap().into_inner();
+        let mut heard = WorkersClient::new(channel.clone())
+            .work(said)
+            .await
+            .unwrap()
+            .into_inner();
         loop {
             match heard.next().await.unwrap().unwrap().message.unwrap() {
                 Heard::Welcome(_) => send(Said::Want(v1::Want { tiles: 1 })).await,
@@ -396,7 +649,11 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
                     let lease = grant.lease.unwrap();
                     tiles.push(lease.tile);
                     let reason = "the test says so".to_owned();
-                    let failed = v1::TileFailed { lease: Some(lease), reason, infrastructure: false };
+                    let failed = v1::TileFailed {
+                        lease: Some(lease),
+                        reason,
+                        infrastructure: false,
+                    };
                     send(Said::Failed(failed)).await;
                     break;
                 }
@@ -422,28 +679,46 @@ async fn a_tile_that_fails_everywhere_is_set_aside_and_can_be_retried() {
     let channel = connect(&coordinator).await;
     // A real worker does the first dozen tiles: the faces, the uppermost separators and more.
     let worker = coordinator.worker();
-    coordinator.until(job, "a dozen tiles", |j| j["tiles_done"].as_u64() >= Some(12));
+    coordinator.until(job, "a dozen tiles", |j| {
+        j["tiles_done"].as_u64() >= Some(12)
+    });
     worker.signal("TERM");
     worker.end().code(0);
     let tile = fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await;
     assert!(tile > 6, "neither a face nor the root: {tile}");
-    let aside = coordinator.json(&format!("show {job}"))["tiles_set_aside"].as_u64().unwrap();
+    let aside = coordinator.json(&format!("show {job}"))["tiles_set_aside"]
+        .as_u64()
+        .unwrap();
     assert!(aside > 0);
     let _worker = coordinator.worker();
     let lacking = coordinator.finish(job);
     sandbox.write("lacking.pvs", &lacking);
     let info = sandbox.json("info lacking.pvs");
     // A result counts tiles with cells only; the job also counts tiles with samples.
-    assert!((1..=aside).contains(&info["info"]["tiles_set_aside"].as_u64().unwrap()), "{info}");
+    assert!(
+        (1..=aside).contains(&info["info"]["tiles_set_aside"].as_u64().unwrap()),
+        "{info}"
+    );
     let dump = sandbox.dump("lacking.pvs");
     let all: Vec<u64> = (0..dump.header["triangles"].as_u64().unwrap()).collect();
-    let everything = dump.cells.iter().filter(|cell| cell.visible == all && cell.undecided == all).count();
-    assert!(everything > 0, "cells that failed show everything, undecided");
+    let everything = dump
+        .cells
+        .iter()
+        .filter(|cell| cell.visible == all && cell.undecided == all)
+        .count();
+    assert!(
+        everything > 0,
+        "cells that failed show everything, undecided"
+    );
     assert_eq!(info["cells_set_aside"], everything);
 
     // A retry gives the full result.
     assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "done");
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after another try",
+    );
     assert_eq!(coordinator.count(job, "tiles_set_aside"), 0);
 }
 
@@ -456,9 +731,16 @@ async fn a_job_of_which_nothing_is_left_fails_and_can_be_retried() {
     let job = coordinator.submit(JOB);
     let channel = connect(&coordinator).await;
     // Without the first face, neither the root nor any node below it can be split.
-    assert_eq!(fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await, 0);
+    assert_eq!(
+        fail_everywhere(&channel, alone["info"]["profile"].as_str().unwrap()).await,
+        0
+    );
     let _worker = coordinator.worker();
     coordinator.until(job, "the end", |j| j["state"] == "failed");
     assert_ne!(coordinator.json(&format!("retry {job}"))["state"], "failed");
-    assert_same(&coordinator.finish(job), &sandbox.read("alone.pvs"), "after another try");
+    assert_same(
+        &coordinator.finish(job),
+        &sandbox.read("alone.pvs"),
+        "after another try",
+    );
 }

@@ -22,7 +22,10 @@ impl TraceId {
     /// The trace of a job with this key, number and time of submission in milliseconds since 1970.
     pub fn of_job(key: &[u8; 32], job: u64, submitted_at_ms: u64) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key(TRACE);
-        hasher.update(key).update(&job.to_le_bytes()).update(&submitted_at_ms.to_le_bytes());
+        hasher
+            .update(key)
+            .update(&job.to_le_bytes())
+            .update(&submitted_at_ms.to_le_bytes());
         let [mut id] = first(&hasher);
         // Zero means that there is no trace.
         if id == [0; 16] {
@@ -85,7 +88,8 @@ impl SpanId {
 /// that begins like it; `None` when the text is none.
 pub fn parent_of(header: &str) -> Option<(TraceId, SpanId)> {
     let mut parts = header.trim().split('-');
-    let [version, trace, span, flags] = [parts.next()?, parts.next()?, parts.next()?, parts.next()?];
+    let [version, trace, span, flags] =
+        [parts.next()?, parts.next()?, parts.next()?, parts.next()?];
     let [version] = digits::<1>(version)?;
     let _: [u8; 1] = digits(flags)?;
     let has_more = parts.next().is_some();
@@ -93,7 +97,10 @@ pub fn parent_of(header: &str) -> Option<(TraceId, SpanId)> {
         return None;
     }
     let span: [u8; 8] = digits(span)?;
-    Some((TraceId::of_bytes(&digits::<16>(trace)?)?, SpanId(Some(span).filter(|id| *id != [0; 8])?)))
+    Some((
+        TraceId::of_bytes(&digits::<16>(trace)?)?,
+        SpanId(Some(span).filter(|id| *id != [0; 8])?),
+    ))
 }
 
 /// Bytes as lower-case hexadecimal digits.
@@ -177,7 +184,10 @@ mod tests {
         assert_eq!(TraceId::of_bytes(&[0; 16]), None);
         assert_eq!(TraceId::of_bytes(&[]), None);
         assert_eq!(TraceId::of_bytes(&[1; 15]), None);
-        assert_eq!(TraceId::of_bytes(&[1; 16]).map(TraceId::bytes), Some([1; 16]));
+        assert_eq!(
+            TraceId::of_bytes(&[1; 16]).map(TraceId::bytes),
+            Some([1; 16])
+        );
     }
 
     #[test]
@@ -186,7 +196,9 @@ mod tests {
         let header = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
         let (trace, span) = parent_of(header).unwrap();
         assert_eq!(format!("00-{trace}-{span}-01"), header);
-        assert!(parent_of("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-more").is_some());
+        assert!(
+            parent_of("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-more").is_some()
+        );
         for bad in [
             "",
             "00",

@@ -57,7 +57,9 @@ pub struct Settings {
 #[derive(Debug, thiserror::Error)]
 pub enum TracesError {
     /// The address is none.
-    #[error("{url} cannot be a collector's address: {reason}; give one such as http://127.0.0.1:4317")]
+    #[error(
+        "{url} cannot be a collector's address: {reason}; give one such as http://127.0.0.1:4317"
+    )]
     Address {
         /// The address, unless it holds what must not be shown.
         url: String,
@@ -110,16 +112,33 @@ impl Traces {
     /// # Errors
     /// [`TracesError`].
     pub fn start(settings: Settings) -> Result<Self, TracesError> {
-        let Settings { url, ca, service, instance } = settings;
+        let Settings {
+            url,
+            ca,
+            service,
+            instance,
+        } = settings;
         if url.contains('@') {
             let reason = "it must not hold a user or a password".to_owned();
-            return Err(TracesError::Address { url: "what was given".to_owned(), reason });
+            return Err(TracesError::Address {
+                url: "what was given".to_owned(),
+                reason,
+            });
         }
         // Without the coordinator's token, which is none of the collector's business.
-        let endpoint = Credentials { ca, ..Credentials::default() }.endpoint(&url);
-        let endpoint = endpoint.map_err(|reason| TracesError::Address { url: url.clone(), reason })?;
+        let endpoint = Credentials {
+            ca,
+            ..Credentials::default()
+        }
+        .endpoint(&url);
+        let endpoint = endpoint.map_err(|reason| TracesError::Address {
+            url: url.clone(),
+            reason,
+        })?;
         let system = |e: &dyn fmt::Display| TracesError::System(e.to_string());
-        let ids = Ids(Arc::new(AtomicU64::new(getrandom::u64().map_err(|e| system(&e))?)));
+        let ids = Ids(Arc::new(AtomicU64::new(
+            getrandom::u64().map_err(|e| system(&e))?,
+        )));
         let lost = Arc::new(AtomicU64::new(0));
         let (queue, waiting) = mpsc::channel(MOST_WAITING);
         let (closing, closed) = watch::channel(None);
@@ -134,8 +153,10 @@ impl Traces {
             told: (0, None),
         };
         // A runtime of its own: spans are sent while the others of the process are busy, or end.
-        let runtime =
-            tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|e| system(&e))?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|e| system(&e))?;
         let thread = move || {
             runtime.block_on(sender.send_all(&endpoint, waiting));
             // A look-up of the collector's name may hang; nobody waits for it.
@@ -143,9 +164,18 @@ impl Traces {
             // Fails when nobody waits for the end.
             let _ = say_ended.send(());
         };
-        std::thread::Builder::new().name("traces".to_owned()).spawn(thread).map_err(|e| system(&e))?;
+        std::thread::Builder::new()
+            .name("traces".to_owned())
+            .spawn(thread)
+            .map_err(|e| system(&e))?;
         let ended = Mutex::new(ended);
-        Ok(Self(Some(Arc::new(Inside { queue, lost, ids, closing, ended }))))
+        Ok(Self(Some(Arc::new(Inside {
+            queue,
+            lost,
+            ids,
+            closing,
+            ended,
+        }))))
     }
 
     /// Whether spans go anywhere.
@@ -156,7 +186,9 @@ impl Traces {
     /// A span's id, for spans below it that end before it. Nothing is sent where traces are off, whatever the
     /// id.
     pub fn fresh_id(&self) -> SpanId {
-        self.0.as_ref().map_or_else(|| SpanId::of_number(0), |inside| inside.ids.next())
+        self.0
+            .as_ref()
+            .map_or_else(|| SpanId::of_number(0), |inside| inside.ids.next())
     }
 
     /// Sends a span that has ended. Never waits: without room it is lost, and counted.
@@ -170,7 +202,9 @@ impl Traces {
 
     /// Spans that have reached nobody and will not.
     pub fn lost(&self) -> u64 {
-        self.0.as_ref().map_or(0, |inside| inside.lost.load(Ordering::Relaxed))
+        self.0
+            .as_ref()
+            .map_or(0, |inside| inside.lost.load(Ordering::Relaxed))
     }
 
     /// Sends what waits when the value is dropped. A collector that does not answer delays that by two
@@ -285,7 +319,11 @@ impl Sender {
                 );
             }
             let over = is_final || Instant::now() + wait > keep_until;
-            let over = over || self.before_the_end(false, tokio::time::sleep(wait)).await.is_none();
+            let over = over
+                || self
+                    .before_the_end(false, tokio::time::sleep(wait))
+                    .await
+                    .is_none();
             if over {
                 self.lost.fetch_add(count, Ordering::Relaxed);
                 return;
@@ -301,7 +339,11 @@ impl Sender {
         let (known, since) = self.told;
         let is_news = lost > known && since.is_none_or(|since| since.elapsed() > TELL_AGAIN);
         if again || is_news {
-            let now = if again { "takes spans again" } else { "does not take all spans" };
+            let now = if again {
+                "takes spans again"
+            } else {
+                "does not take all spans"
+            };
             tracing::warn!("{} {now}; lost so far: {lost}", self.url);
             self.told = (lost, Some(Instant::now()));
         }
@@ -327,7 +369,10 @@ impl Sender {
 async fn ending(closing: &mut watch::Receiver<Option<Instant>>) -> Instant {
     let until = closing.wait_for(Option::is_some).await;
     // Fails when there is nobody any more who could send a span: the same.
-    until.ok().and_then(|until| *until).unwrap_or_else(Instant::now)
+    until
+        .ok()
+        .and_then(|until| *until)
+        .unwrap_or_else(Instant::now)
 }
 
 /// Whether the same message may be taken later, as the specification of OTLP has it.

@@ -15,15 +15,25 @@ pub struct Begun {
 impl Begun {
     /// Now.
     pub fn now() -> Self {
-        let at = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { at: at.as_nanos() as u64, since: Instant::now() }
+        let at = SystemTime::now()
+            .duration_since(UNIX_EPOCH)
+            .unwrap_or_default();
+        Self {
+            at: at.as_nanos() as u64,
+            since: Instant::now(),
+        }
     }
 
     /// This long ago.
     pub fn ago(time: Duration) -> Self {
         let now = Self::now();
-        let Some(since) = now.since.checked_sub(time) else { return now };
-        Self { at: now.at.saturating_sub(time.as_nanos() as u64), since }
+        let Some(since) = now.since.checked_sub(time) else {
+            return now;
+        };
+        Self {
+            at: now.at.saturating_sub(time.as_nanos() as u64),
+            since,
+        }
     }
 
     /// How long ago.
@@ -33,7 +43,11 @@ impl Begun {
 
     /// The later of two.
     pub fn max(self, other: Self) -> Self {
-        if other.since > self.since { other } else { self }
+        if other.since > self.since {
+            other
+        } else {
+            self
+        }
     }
 
     /// Whether this was after the other one.
@@ -43,7 +57,8 @@ impl Begun {
 
     /// Nanoseconds since 1970 of a later moment, so that spans of one process nest, whatever its clock does.
     fn until(self, end: Instant) -> u64 {
-        self.at.saturating_add(end.saturating_duration_since(self.since).as_nanos() as u64)
+        self.at
+            .saturating_add(end.saturating_duration_since(self.since).as_nanos() as u64)
     }
 }
 
@@ -93,7 +108,11 @@ impl Span {
     /// The same from a time on record, in milliseconds since 1970.
     pub fn since(trace: TraceId, name: &'static str, unix_ms: u64) -> Self {
         let start = unix_ms.saturating_mul(1_000_000);
-        Self { start, begun: None, ..Self::of(trace, name, Begun::now()) }
+        Self {
+            start,
+            begun: None,
+            ..Self::of(trace, name, Begun::now())
+        }
     }
 
     /// Gives it an id that others know.
@@ -146,7 +165,10 @@ impl Span {
     /// Ends it at a moment that others have as their beginning or end, too.
     pub fn end_at(mut self, end: Begun) -> Self {
         // A job's record may be of a machine whose clock is ahead.
-        self.end = self.begun.map_or(end.at, |begun| begun.until(end.since)).max(self.start);
+        self.end = self
+            .begun
+            .map_or(end.at, |begun| begun.until(end.since))
+            .max(self.start);
         self
     }
 }
@@ -163,7 +185,10 @@ mod tests {
         let span = Span::of(trace, "wait", late).end_at(early);
         assert_eq!(span.start, span.end);
         let span = Span::of(trace, "wait", early).end_at(late);
-        assert!((span.end - span.start).abs_diff(3_000_000_000) < 100_000_000, "{span:?}");
+        assert!(
+            (span.end - span.start).abs_diff(3_000_000_000) < 100_000_000,
+            "{span:?}"
+        );
         // A record of the future.
         let span = Span::since(trace, "job", u64::MAX / 2_000_000).end();
         assert_eq!(span.start, span.end);

@@ -17,9 +17,18 @@ const SAMPLED: u32 = 1;
 /// The process that sends.
 pub(crate) fn resource(service: &str, instance: &str) -> Resource {
     let version = env!("CARGO_PKG_VERSION");
-    let of = [("service.name", service), ("service.version", version), ("service.instance.id", instance)];
-    let attributes = of.map(|(name, value)| attribute(name, Value::Name(value.to_owned()))).into();
-    Resource { attributes, ..Resource::default() }
+    let of = [
+        ("service.name", service),
+        ("service.version", version),
+        ("service.instance.id", instance),
+    ];
+    let attributes = of
+        .map(|(name, value)| attribute(name, Value::Name(value.to_owned())))
+        .into();
+    Resource {
+        attributes,
+        ..Resource::default()
+    }
 }
 
 /// A batch. `fresh` gives ids to spans that have none.
@@ -33,11 +42,23 @@ pub(crate) fn request(
         version: env!("CARGO_PKG_VERSION").to_owned(),
         ..InstrumentationScope::default()
     };
-    let spans = spans.into_iter().map(|span| message(span, &mut fresh)).collect();
-    let scope_spans = vec![ScopeSpans { scope: Some(scope), spans, ..ScopeSpans::default() }];
-    let of_process =
-        ResourceSpans { resource: Some(resource.clone()), scope_spans, ..ResourceSpans::default() };
-    ExportTraceServiceRequest { resource_spans: vec![of_process] }
+    let spans = spans
+        .into_iter()
+        .map(|span| message(span, &mut fresh))
+        .collect();
+    let scope_spans = vec![ScopeSpans {
+        scope: Some(scope),
+        spans,
+        ..ScopeSpans::default()
+    }];
+    let of_process = ResourceSpans {
+        resource: Some(resource.clone()),
+        scope_spans,
+        ..ResourceSpans::default()
+    };
+    ExportTraceServiceRequest {
+        resource_spans: vec![of_process],
+    }
 }
 
 fn message(span: Span, fresh: &mut impl FnMut() -> SpanId) -> v1::Span {
@@ -47,17 +68,26 @@ fn message(span: Span, fresh: &mut impl FnMut() -> SpanId) -> v1::Span {
         flags: SAMPLED,
         ..Link::default()
     });
-    let status = span.failed.map(|why| Status { message: why.to_owned(), code: StatusCode::Error.into() });
+    let status = span.failed.map(|why| Status {
+        message: why.to_owned(),
+        code: StatusCode::Error.into(),
+    });
     v1::Span {
         trace_id: span.trace.bytes().to_vec(),
         span_id: span.id.unwrap_or_else(fresh).bytes().to_vec(),
-        parent_span_id: span.parent.map_or_else(Vec::new, |parent| parent.bytes().to_vec()),
+        parent_span_id: span
+            .parent
+            .map_or_else(Vec::new, |parent| parent.bytes().to_vec()),
         flags: SAMPLED,
         name: span.name.to_owned(),
         kind: SpanKind::Internal.into(),
         start_time_unix_nano: span.start,
         end_time_unix_nano: span.end,
-        attributes: span.attributes.into_iter().map(|(name, value)| attribute(name, value)).collect(),
+        attributes: span
+            .attributes
+            .into_iter()
+            .map(|(name, value)| attribute(name, value))
+            .collect(),
         links: link.into_iter().collect(),
         status,
         ..v1::Span::default()
@@ -70,5 +100,9 @@ fn attribute(name: &str, value: Value) -> KeyValue {
         Value::Word(word) => Any::StringValue(word.to_owned()),
         Value::Name(name) => Any::StringValue(name),
     };
-    KeyValue { key: name.to_owned(), value: Some(AnyValue { value: Some(value) }), ..KeyValue::default() }
+    KeyValue {
+        key: name.to_owned(),
+        value: Some(AnyValue { value: Some(value) }),
+        ..KeyValue::default()
+    }
 }

@@ -8,14 +8,21 @@ use sightline_tests::{Collector, wait_for};
 use sightline_traces::{Begun, Settings, Span, TraceId, Traces};
 
 fn traces(url: &str) -> Traces {
-    let settings = Settings { url: url.to_owned(), ca: None, service: "test", instance: "one".to_owned() };
+    let settings = Settings {
+        url: url.to_owned(),
+        ca: None,
+        service: "test",
+        instance: "one".to_owned(),
+    };
     Traces::start(settings).unwrap()
 }
 
 fn span(number: u64) -> Span {
     let trace = TraceId::of_job(&[7; 32], 1, 2);
     let span = Span::of(trace, "wait", Begun::now()).below(trace.job());
-    span.number("sightline.tile", number).name("sightline.worker", "ada").end()
+    span.number("sightline.tile", number)
+        .name("sightline.worker", "ada")
+        .end()
 }
 
 #[test]
@@ -26,11 +33,16 @@ fn spans_wait_for_a_collector_that_comes_late() {
     (0..1000).for_each(|number| traces.send(span(number)));
     std::thread::sleep(Duration::from_millis(300));
     let collector = Collector::at(&address);
-    wait_for("all spans", || (collector.taken().len() == 1000).then_some(()));
+    wait_for("all spans", || {
+        (collector.taken().len() == 1000).then_some(())
+    });
     traces.send(span(1000));
     drop(closing);
-    let mut tiles: Vec<u64> =
-        collector.taken().iter().map(|span| span.attributes["sightline.tile"].parse().unwrap()).collect();
+    let mut tiles: Vec<u64> = collector
+        .taken()
+        .iter()
+        .map(|span| span.attributes["sightline.tile"].parse().unwrap())
+        .collect();
     tiles.sort_unstable();
     assert_eq!(tiles, (0..=1000).collect::<Vec<_>>());
     assert_eq!(traces.lost(), 0);
@@ -43,11 +55,19 @@ fn what_does_not_fit_is_counted_and_nobody_waits() {
     let closing = traces.closing();
     let began = Instant::now();
     (0..100_000).for_each(|number| traces.send(span(number)));
-    assert!(began.elapsed() < Duration::from_secs(5), "{:?}", began.elapsed());
+    assert!(
+        began.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        began.elapsed()
+    );
     assert!(traces.lost() >= 100_000 - 20_000, "{}", traces.lost());
     let began = Instant::now();
     drop(closing);
-    assert!(began.elapsed() < Duration::from_secs(4), "{:?}", began.elapsed());
+    assert!(
+        began.elapsed() < Duration::from_secs(4),
+        "{:?}",
+        began.elapsed()
+    );
     assert_eq!(traces.lost(), 100_000, "none has reached anybody");
 }
 
@@ -58,6 +78,10 @@ fn the_end_does_not_wait_for_a_collector_that_is_away() {
     (0..10).for_each(|number| traces.send(span(number)));
     let began = Instant::now();
     drop(closing);
-    assert!(began.elapsed() < Duration::from_millis(1500), "{:?}", began.elapsed());
+    assert!(
+        began.elapsed() < Duration::from_millis(1500),
+        "{:?}",
+        began.elapsed()
+    );
     assert_eq!(traces.lost(), 10);
 }

@@ -37,19 +37,37 @@ impl Backends {
     pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
         let not_asked = || Err("not asked for".to_owned());
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
-        let cpu = if choice == Choice::Gpu { not_asked() } else { say(CpuBackend::probe()) };
+        let cpu = if choice == Choice::Gpu {
+            not_asked()
+        } else {
+            say(CpuBackend::probe())
+        };
         // Starting a software driver takes longer than a small bake.
         let skipped_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
-        let gpu =
-            if choice == Choice::Cpu || skipped_software { not_asked() } else { say(gpu::probe(&adapter)) };
-        let software =
-            gpu.is_ok() && gpu::adapters().iter().any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
-        Self { software, skipped_software, gpu, cpu, adapter }
+        let gpu = if choice == Choice::Cpu || skipped_software {
+            not_asked()
+        } else {
+            say(gpu::probe(&adapter))
+        };
+        let software = gpu.is_ok()
+            && gpu::adapters()
+                .iter()
+                .any(|a| a.software && gpu.as_ref() == Ok(&a.profile));
+        Self {
+            software,
+            skipped_software,
+            gpu,
+            cpu,
+            adapter,
+        }
     }
 
     /// Profiles of the backends that work, cpu first.
     pub fn profiles(&self) -> Vec<String> {
-        [&self.cpu, &self.gpu].into_iter().filter_map(|r| r.as_ref().ok().cloned()).collect()
+        [&self.cpu, &self.gpu]
+            .into_iter()
+            .filter_map(|r| r.as_ref().ok().cloned())
+            .collect()
     }
 
     /// Whether no software rasteriser was looked for, because no job would be bound to one.
@@ -65,9 +83,15 @@ impl Backends {
     /// One line for users for each requested backend that does not work.
     pub fn missing(&self) -> Vec<String> {
         let line = |name: &str, r: &Result<String, String>| {
-            r.as_ref().err().filter(|e| *e != "not asked for").map(|e| format!("{name} backend: {e}"))
+            r.as_ref()
+                .err()
+                .filter(|e| *e != "not asked for")
+                .map(|e| format!("{name} backend: {e}"))
         };
-        [line("cpu", &self.cpu), line("gpu", &self.gpu)].into_iter().flatten().collect()
+        [line("cpu", &self.cpu), line("gpu", &self.gpu)]
+            .into_iter()
+            .flatten()
+            .collect()
     }
 
     /// Opens the backend with the numerics profile `profile` for a scene.

@@ -18,18 +18,31 @@ const CONNECT: Duration = Duration::from_secs(1);
 
 /// A channel that connects when it is used, and again when its connection has broken.
 pub fn channel(endpoint: &Endpoint, credentials: &Credentials) -> Connection {
-    credentials.over(endpoint.connect_with_connector_lazy(tower::service_fn(|address: Uri| async move {
-        let connected = tokio::time::timeout(CONNECT, connect(&address)).await;
-        connected.unwrap_or_else(|_| {
-            Err(io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {CONNECT:?}")))
-        })
-    })))
+    credentials.over(endpoint.connect_with_connector_lazy(tower::service_fn(
+        |address: Uri| async move {
+            let connected = tokio::time::timeout(CONNECT, connect(&address)).await;
+            connected.unwrap_or_else(|_| {
+                Err(io::Error::new(
+                    io::ErrorKind::TimedOut,
+                    format!("no connection within {CONNECT:?}"),
+                ))
+            })
+        },
+    )))
 }
 
 async fn connect(address: &Uri) -> io::Result<TokioIo<TcpStream>> {
     // Checked by [`Credentials::endpoint`]: there is a host, and the scheme is http or https.
-    let host = address.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
-    let port = if address.scheme_str() == Some("https") { 443 } else { 80 };
+    let host = address
+        .host()
+        .unwrap_or_default()
+        .trim_start_matches('[')
+        .trim_end_matches(']');
+    let port = if address.scheme_str() == Some("https") {
+        443
+    } else {
+        80
+    };
     let stream = TcpStream::connect((host, address.port_u16().unwrap_or(port))).await?;
     stream.set_nodelay(true)?;
     Ok(TokioIo::new(stream))

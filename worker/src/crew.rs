@@ -14,7 +14,9 @@ use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_sampling::Watcher as _;
-use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader};
+use sightline_sampling::crew::{
+    FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader,
+};
 use tokio::sync::mpsc;
 use tonic::Streaming;
 
@@ -41,11 +43,21 @@ async fn enter(
     (leads, phases): (bool, u32),
 ) -> Result<(mpsc::Sender<v1::CrewMessage>, Streaming<v1::CrewMessage>), String> {
     let (out, receiver) = mpsc::channel(WAITING);
-    let enter = Message::Enter(v1::CrewEnter { lease: Some(lease), leads, phases });
+    let enter = Message::Enter(v1::CrewEnter {
+        lease: Some(lease),
+        leads,
+        phases,
+    });
     // There is room: nothing else was sent.
-    let _ = out.try_send(v1::CrewMessage { message: Some(enter) });
+    let _ = out.try_send(v1::CrewMessage {
+        message: Some(enter),
+    });
     let stream = tokio_stream::wrappers::ReceiverStream::new(receiver);
-    let inbound = client.crew(stream).await.map_err(|s| describe(&s))?.into_inner();
+    let inbound = client
+        .crew(stream)
+        .await
+        .map_err(|s| describe(&s))?
+        .into_inner();
     Ok((out, inbound))
 }
 
@@ -83,7 +95,9 @@ pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Lea
     }
     tracing::info!("leads tile {} of job {}", lease.tile, lease.job);
     let say = way.clone();
-    let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| say.say(message));
+    let leader = Leader::new(outcomes, Arc::clone(held) as _, move |message| {
+        say.say(message)
+    });
     let leader = Arc::new(leader);
     let inbound = match opened {
         Ok((out, inbound)) => {
@@ -93,11 +107,22 @@ pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Lea
             Some(inbound)
         }
         Err(e) => {
-            tracing::warn!("tile {} of job {} has no crew for now: {e}", lease.tile, lease.job);
+            tracing::warn!(
+                "tile {} of job {} has no crew for now: {e}",
+                lease.tile,
+                lease.job
+            );
             None
         }
     };
-    tokio::spawn(keep_leading(client, lease, Arc::clone(held), Arc::downgrade(&leader), way, inbound));
+    tokio::spawn(keep_leading(
+        client,
+        lease,
+        Arc::clone(held),
+        Arc::downgrade(&leader),
+        way,
+        inbound,
+    ));
     leader
 }
 
@@ -107,19 +132,35 @@ async fn open(
     client: &Client,
     lease: v1::Lease,
     from: u32,
-) -> Result<(mpsc::Sender<v1::CrewMessage>, Streaming<v1::CrewMessage>, Vec<Vec<u8>>, u32), String> {
+) -> Result<
+    (
+        mpsc::Sender<v1::CrewMessage>,
+        Streaming<v1::CrewMessage>,
+        Vec<Vec<u8>>,
+        u32,
+    ),
+    String,
+> {
     let opened = tokio::time::timeout(PATIENCE, enter(client.clone(), lease, (true, from))).await;
     let (out, mut inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (mut outcomes, mut blobs) = (Vec::new(), Blobs::new(MAX_BYTES));
     loop {
         let next = tokio::time::timeout(PATIENCE, inbound.next()).await;
         let next = next.map_err(|_| "the coordinator does not answer".to_owned())?;
-        let message = next.ok_or("the coordinator closed the stream")?.map_err(|s| describe(&s))?;
+        let message = next
+            .ok_or("the coordinator closed the stream")?
+            .map_err(|s| describe(&s))?;
         match message.message {
             Some(Message::Outcome(piece)) => {
-                outcomes.extend(blobs.push(&piece.chunk.unwrap_or_default()).map_err(|e| e.to_string())?);
+                outcomes.extend(
+                    blobs
+                        .push(&piece.chunk.unwrap_or_default())
+                        .map_err(|e| e.to_string())?,
+                );
             }
-            Some(Message::Ready(v1::CrewReady { phases })) => return Ok((out, inbound, outcomes, phases)),
+            Some(Message::Ready(v1::CrewReady { phases })) => {
+                return Ok((out, inbound, outcomes, phases));
+            }
             _ => return Err("the coordinator sent something else than outcomes".to_owned()),
         }
     }
@@ -151,13 +192,19 @@ async fn keep_leading(
             tokio::time::sleep(wait).await;
             wait = (wait * 2).min(AGAIN[1]);
             let use_for_helpers = leader.upgrade().filter(|leader| !leader.has_ended());
-            let Some(from) = use_for_helpers.map(|leader| leader.phase()) else { return };
+            let Some(from) = use_for_helpers.map(|leader| leader.phase()) else {
+                return;
+            };
             if held.cancelled() {
                 return;
             }
             let from = if knows_earlier { u32::MAX } else { from };
-            let Ok((out, inbound, outcomes, there)) = open(&client, lease, from).await else { continue };
-            let Some(leader) = leader.upgrade() else { return };
+            let Ok((out, inbound, outcomes, there)) = open(&client, lease, from).await else {
+                continue;
+            };
+            let Some(leader) = leader.upgrade() else {
+                return;
+            };
             if !std::mem::replace(&mut knows_earlier, true) {
                 leader.learn(from, outcomes);
             }
@@ -185,7 +232,13 @@ async fn send<T>(
 ) {
     while let Some(message) = said.recv().await {
         for message in messages(message) {
-            if out.send(v1::CrewMessage { message: Some(message) }).await.is_err() {
+            if out
+                .send(v1::CrewMessage {
+                    message: Some(message),
+                })
+                .await
+                .is_err()
+            {
                 return;
             }
         }
@@ -194,14 +247,28 @@ async fn send<T>(
 
 fn of_leader(said: FromLeader) -> Vec<Message> {
     match said {
-        FromLeader::Take { member, phase, items } => {
-            vec![Message::Take(v1::CrewTake { member, phase, items })]
+        FromLeader::Take {
+            member,
+            phase,
+            items,
+        } => {
+            vec![Message::Take(v1::CrewTake {
+                member,
+                phase,
+                items,
+            })]
         }
         FromLeader::Outcome { phase, bytes, time } => {
             // Nobody's phases last for 584 000 years.
             let micros = time.as_micros().max(1) as u64;
             chunks::cut(&bytes)
-                .map(|chunk| Message::Outcome(v1::CrewOutcome { phase, chunk: Some(chunk), micros }))
+                .map(|chunk| {
+                    Message::Outcome(v1::CrewOutcome {
+                        phase,
+                        chunk: Some(chunk),
+                        micros,
+                    })
+                })
                 .collect()
         }
         FromLeader::Dismiss(member) => vec![Message::Dismiss(v1::CrewDismiss { member })],
@@ -214,10 +281,19 @@ fn of_helper(said: FromHelper) -> Vec<Message> {
     let member = 0;
     match said {
         FromHelper::Ask { phase } => vec![Message::Ask(v1::CrewAsk { member, phase })],
-        FromHelper::Found { phase, mut items, finds } => chunks::cut(&finds)
+        FromHelper::Found {
+            phase,
+            mut items,
+            finds,
+        } => chunks::cut(&finds)
             .map(|chunk| {
                 let items = std::mem::take(&mut items);
-                Message::Found(v1::CrewFound { member, phase, items, chunk: Some(chunk) })
+                Message::Found(v1::CrewFound {
+                    member,
+                    phase,
+                    items,
+                    chunk: Some(chunk),
+                })
             })
             .collect(),
     }
@@ -228,7 +304,9 @@ async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1:
     // The helpers, with the items of the finds that arrive.
     let mut members: BTreeMap<Member, (Vec<u32>, Blobs)> = BTreeMap::new();
     while let Some(Ok(message)) = inbound.next().await {
-        let Some(leader) = leader.upgrade() else { return };
+        let Some(leader) = leader.upgrade() else {
+            return;
+        };
         match message.message {
             Some(Message::Joined(v1::CrewJoined { member })) => {
                 members.insert(member, (Vec::new(), Blobs::new(MAX_BYTES)));
@@ -243,8 +321,15 @@ async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1:
                 leader.hear(ToLeader::Ask { member, phase });
             }
             Some(Message::Found(found)) => {
-                let v1::CrewFound { member, phase, items, chunk } = found;
-                let Some((of, finds)) = members.get_mut(&member) else { continue };
+                let v1::CrewFound {
+                    member,
+                    phase,
+                    items,
+                    chunk,
+                } = found;
+                let Some((of, finds)) = members.get_mut(&member) else {
+                    continue;
+                };
                 if !items.is_empty() {
                     *of = items;
                 }
@@ -252,7 +337,12 @@ async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1:
                     Ok(None) => {}
                     Ok(Some(finds)) => {
                         let items = std::mem::take(of);
-                        leader.hear(ToLeader::Found { member, phase, items, finds });
+                        leader.hear(ToLeader::Found {
+                            member,
+                            phase,
+                            items,
+                            finds,
+                        });
                     }
                     Err(e) => {
                         tracing::warn!("helper {member} is dismissed: {e}");
@@ -265,15 +355,23 @@ async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1:
             _ => {}
         }
     }
-    let Some(leader) = leader.upgrade() else { return };
-    members.into_keys().for_each(|member| leader.hear(ToLeader::Left(member)));
+    let Some(leader) = leader.upgrade() else {
+        return;
+    };
+    members
+        .into_keys()
+        .for_each(|member| leader.hear(ToLeader::Left(member)));
 }
 
 /// A helper of the leader that holds `lease`.
 ///
 /// # Errors
 /// The reason, when the crew has ended or cannot be reached.
-pub async fn help(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<Arc<Helper>, String> {
+pub async fn help(
+    client: Client,
+    lease: v1::Lease,
+    held: &Arc<Held>,
+) -> Result<Arc<Helper>, String> {
     let opened = tokio::time::timeout(PATIENCE, enter(client, lease, (false, 0))).await;
     let (out, inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;
     let (say, said) = mpsc::unbounded_channel();
@@ -292,7 +390,9 @@ pub async fn help(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Result<
 async fn hear_helper(helper: Weak<Helper>, mut inbound: Streaming<v1::CrewMessage>) {
     let mut outcomes = Blobs::new(MAX_BYTES);
     while let Some(Ok(message)) = inbound.next().await {
-        let Some(helper) = helper.upgrade() else { return };
+        let Some(helper) = helper.upgrade() else {
+            return;
+        };
         match message.message {
             Some(Message::Take(v1::CrewTake { phase, items, .. })) => {
                 helper.hear(ToHelper::Take { phase, items });

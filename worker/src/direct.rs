@@ -94,7 +94,10 @@ struct State {
 impl Direct {
     /// A worker that does not know of a store yet.
     pub fn new(is_allowed: bool) -> Self {
-        Self { is_allowed, state: Mutex::default() }
+        Self {
+            is_allowed,
+            state: Mutex::default(),
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -105,7 +108,9 @@ impl Direct {
     pub fn welcome(&self, offered: Option<v1::Direct>) {
         let mut state = self.state();
         (state.is_offered, state.paused) = (false, None);
-        let Some(v1::Direct { ca }) = offered.filter(|_| self.is_allowed) else { return };
+        let Some(v1::Direct { ca }) = offered.filter(|_| self.is_allowed) else {
+            return;
+        };
         if state.client.as_ref().is_none_or(|(_, known)| *known != ca) {
             let pem = Some(&ca[..]).filter(|ca| !ca.is_empty());
             match sightline_http::roots(pem).and_then(|roots| Client::new(roots, CONNECT)) {
@@ -126,7 +131,11 @@ impl Direct {
     pub fn client(&self) -> Option<Client<Sending>> {
         let state = self.state();
         let is_paused = state.paused.is_some_and(|since| since.elapsed() < PAUSE);
-        state.client.as_ref().filter(|_| state.is_offered && !is_paused).map(|(client, _)| client.clone())
+        state
+            .client
+            .as_ref()
+            .filter(|_| state.is_offered && !is_paused)
+            .map(|(client, _)| client.clone())
     }
 
     /// The store cannot be reached: for a while it is not tried.
@@ -138,7 +147,10 @@ impl Direct {
 /// The host of an address, for messages.
 pub fn host(address: &v1::Address) -> String {
     let uri = address.url.parse::<Uri>().ok();
-    uri.as_ref().and_then(Uri::host).unwrap_or("an address that is none").to_owned()
+    uri.as_ref()
+        .and_then(Uri::host)
+        .unwrap_or("an address that is none")
+        .to_owned()
 }
 
 fn request(method: &str, address: &v1::Address) -> Result<sightline_http::Builder, Miss> {
@@ -156,7 +168,9 @@ fn request(method: &str, address: &v1::Address) -> Result<sightline_http::Builde
 }
 
 fn built(builder: sightline_http::Builder, body: Sending) -> Result<Request<Sending>, Miss> {
-    builder.body(body).map_err(|_| Miss::Store("the coordinator gave headers that are none".to_owned()))
+    builder
+        .body(body)
+        .map_err(|_| Miss::Store("the coordinator gave headers that are none".to_owned()))
 }
 
 /// What a status that is no success says.
@@ -180,7 +194,11 @@ pub struct Download {
 impl Download {
     /// Of a blob with this length.
     pub fn new(total: u64) -> Self {
-        Self { bytes: Vec::new(), hash: blake3::Hasher::new(), total }
+        Self {
+            bytes: Vec::new(),
+            hash: blake3::Hasher::new(),
+            total,
+        }
     }
 
     /// Bytes that have arrived.
@@ -197,20 +215,30 @@ impl Download {
     }
 
     /// Reads on from where it is, to the end.
-    pub async fn go_on(&mut self, client: &Client<Sending>, address: &v1::Address) -> Result<(), Miss> {
+    pub async fn go_on(
+        &mut self,
+        client: &Client<Sending>,
+        address: &v1::Address,
+    ) -> Result<(), Miss> {
         let from = self.length();
         let mut get = request("GET", address)?;
         if from > 0 {
             get = get.header(header::RANGE, format!("bytes={from}-"));
         }
-        let answer = client.request(built(get, Sending::default())?, ANSWER).await;
+        let answer = client
+            .request(built(get, Sending::default())?, ANSWER)
+            .await;
         let answer = answer.map_err(|fault| self.fault(&fault))?;
         let (status, headers) = (answer.status(), answer.headers());
         match status {
             StatusCode::PARTIAL_CONTENT if from > 0 => {
-                let range = headers.get(header::CONTENT_RANGE).and_then(|range| range.to_str().ok());
+                let range = headers
+                    .get(header::CONTENT_RANGE)
+                    .and_then(|range| range.to_str().ok());
                 if !range.is_some_and(|range| range.starts_with(&format!("bytes {from}-"))) {
-                    return Err(Miss::Blob("it sends another part than the one asked for".to_owned()));
+                    return Err(Miss::Blob(
+                        "it sends another part than the one asked for".to_owned(),
+                    ));
                 }
             }
             // Whoever knows no ranges sends the whole again.
@@ -218,7 +246,11 @@ impl Download {
             status => return Err(refused(status)),
         }
         let mut body = answer.into_body();
-        while let Some(piece) = body.next().await.map_err(|fault| Miss::Broken(fault.to_string()))? {
+        while let Some(piece) = body
+            .next()
+            .await
+            .map_err(|fault| Miss::Broken(fault.to_string()))?
+        {
             // Memory grows with what arrives, and ends with what was announced.
             if self.length() + piece.len() as u64 > self.total {
                 return Err(Miss::Blob("it is longer than announced".to_owned()));
@@ -227,7 +259,11 @@ impl Download {
             self.bytes.extend_from_slice(&piece);
         }
         if self.length() < self.total {
-            return Err(Miss::Broken(format!("it ended after {} of {} bytes", self.length(), self.total)));
+            return Err(Miss::Broken(format!(
+                "it ended after {} of {} bytes",
+                self.length(),
+                self.total
+            )));
         }
         Ok(())
     }
@@ -235,7 +271,9 @@ impl Download {
     /// A store that cannot be reached from the start is left alone; one that was reached may come back.
     fn fault(&self, fault: &Fault) -> Miss {
         match fault.during {
-            During::Connecting if self.bytes.is_empty() => Miss::Store(format!("no connection: {fault}")),
+            During::Connecting if self.bytes.is_empty() => {
+                Miss::Store(format!("no connection: {fault}"))
+            }
             _ => Miss::Broken(fault.to_string()),
         }
     }
@@ -248,7 +286,10 @@ pub async fn upload(
     bytes: Bytes,
     held: &Held,
 ) -> Result<(), Miss> {
-    let body = Sending { bytes, sent: Arc::default() };
+    let body = Sending {
+        bytes,
+        sent: Arc::default(),
+    };
     let sent = Arc::clone(&body.sent);
     let put = built(request("PUT", address)?, body)?;
     let answer = tokio::select! {
@@ -259,7 +300,11 @@ pub async fn upload(
         During::Connecting => Miss::Store(format!("no connection: {fault}")),
         _ => Miss::Broken(fault.to_string()),
     })?;
-    if answer.status() == StatusCode::OK { Ok(()) } else { Err(refused(answer.status())) }
+    if answer.status() == StatusCode::OK {
+        Ok(())
+    } else {
+        Err(refused(answer.status()))
+    }
 }
 
 /// Resolves when an upload makes no progress, or is not needed any more.
@@ -288,13 +333,20 @@ mod tests {
     use super::*;
 
     fn address(url: &str) -> v1::Address {
-        v1::Address { url: url.to_owned(), seconds: 600, headers: Vec::new() }
+        v1::Address {
+            url: url.to_owned(),
+            seconds: 600,
+            headers: Vec::new(),
+        }
     }
 
     /// A store that gives these answers, a connection each; and a client.
     fn store(answers: Vec<String>) -> (v1::Address, Client<Sending>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url = format!("http://{}/blob?X-Amz-Signature=hush", listener.local_addr().unwrap());
+        let url = format!(
+            "http://{}/blob?X-Amz-Signature=hush",
+            listener.local_addr().unwrap()
+        );
         std::thread::spawn(move || {
             for answer in answers {
                 let (mut stream, _) = listener.accept().unwrap();
@@ -304,7 +356,10 @@ mod tests {
                 stream.write_all(answer.as_bytes()).unwrap();
             }
         });
-        (address(&url), Client::new(sightline_http::roots(None).unwrap(), CONNECT).unwrap())
+        (
+            address(&url),
+            Client::new(sightline_http::roots(None).unwrap(), CONNECT).unwrap(),
+        )
     }
 
     fn answer(head: &str, length: usize, body: &str) -> String {
@@ -323,15 +378,25 @@ mod tests {
             answer("503 Slow Down", 0, ""),
         ]);
         let mut download = Download::new(6);
-        assert!(matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("longer")));
+        assert!(
+            matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("longer"))
+        );
         // What has come stays; the rest is asked for, and has to be that.
         let mut download = Download::new(6);
-        assert!(matches!(download.go_on(&client, &at).await, Err(Miss::Broken(_))));
+        assert!(matches!(
+            download.go_on(&client, &at).await,
+            Err(Miss::Broken(_))
+        ));
         assert_eq!(download.length(), 3);
-        assert!(matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("part")));
+        assert!(
+            matches!(download.go_on(&client, &at).await, Err(Miss::Blob(e)) if e.contains("part"))
+        );
         download.go_on(&client, &at).await.unwrap();
         assert_eq!(download.length(), 6);
-        assert_eq!(download.finish(blake3::hash(b"sixten").as_bytes()).unwrap(), b"sixten");
+        assert_eq!(
+            download.finish(blake3::hash(b"sixten").as_bytes()).unwrap(),
+            b"sixten"
+        );
         let mut miss = Vec::new();
         for _ in 0..3 {
             let mut download = Download::new(6);
@@ -340,21 +405,38 @@ mod tests {
         assert!(
             matches!(&miss[..], [Miss::Store(e), Miss::Blob(_), Miss::Broken(_)] if e == "it answers 403")
         );
-        assert!(matches!(Download::new(0).finish(&[0; 32]), Err(Miss::Blob(e)) if e.contains("digest")));
+        assert!(
+            matches!(Download::new(0).finish(&[0; 32]), Err(Miss::Blob(e)) if e.contains("digest"))
+        );
     }
 
     #[tokio::test]
     async fn no_message_has_an_address() {
         let (_, client) = store(Vec::new());
-        for url in ["", "ftp://a/?hush", "/?hush", "http://127.0.0.1:9/?hush", "http://no host/?hush"] {
+        for url in [
+            "",
+            "ftp://a/?hush",
+            "/?hush",
+            "http://127.0.0.1:9/?hush",
+            "http://no host/?hush",
+        ] {
             let at = address(url);
             let miss = Download::new(1).go_on(&client, &at).await.unwrap_err();
             let text = format!("{miss:?} {} {at:?}", host(&at));
-            assert!(matches!(miss, Miss::Store(_)) && !text.contains("hush"), "{text}");
+            assert!(
+                matches!(miss, Miss::Store(_)) && !text.contains("hush"),
+                "{text}"
+            );
         }
         let mut at = address("http://127.0.0.1:9/");
-        at.headers.push(v1::Header { name: "a b".to_owned(), value: "hush".to_owned() });
-        let text = format!("{:?}", Download::new(1).go_on(&client, &at).await.unwrap_err());
+        at.headers.push(v1::Header {
+            name: "a b".to_owned(),
+            value: "hush".to_owned(),
+        });
+        let text = format!(
+            "{:?}",
+            Download::new(1).go_on(&client, &at).await.unwrap_err()
+        );
         assert!(!text.contains("hush"), "{text}");
     }
 
@@ -368,7 +450,9 @@ mod tests {
         assert!(direct.client().is_none());
         direct.welcome(Some(v1::Direct { ca: Vec::new() }));
         assert!(direct.client().is_some());
-        direct.welcome(Some(v1::Direct { ca: b"no certificate".to_vec() }));
+        direct.welcome(Some(v1::Direct {
+            ca: b"no certificate".to_vec(),
+        }));
         assert!(direct.client().is_none());
         direct.welcome(None);
         assert!(direct.client().is_none());

@@ -65,7 +65,11 @@ impl Unfetched {
 impl Shop {
     /// A scene, from the cache, the store or the coordinator.
     pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<Loaded>, String> {
-        let fetch = async { self.fetch(Kind::Scene, digest).await.map_err(|e| e.describe(Kind::Scene)) };
+        let fetch = async {
+            self.fetch(Kind::Scene, digest)
+                .await
+                .map_err(|e| e.describe(Kind::Scene))
+        };
         self.config.scenes.get(digest, fetch).await
     }
 
@@ -81,13 +85,19 @@ impl Shop {
                 Ok(Some(bytes))
             }
             Err(Unfetched::Damaged) => Ok(None),
-            Err(Unfetched::Refused(s)) if matches!(s.code(), Code::NotFound | Code::DataLoss) => Ok(None),
+            Err(Unfetched::Refused(s)) if matches!(s.code(), Code::NotFound | Code::DataLoss) => {
+                Ok(None)
+            }
             Err(e) => Err(e.describe(Kind::Pack)),
         }
     }
 
     /// Receivers on a scene of so many triangles, from the cache, the store or the coordinator.
-    pub async fn receivers(&self, digest: [u8; 32], triangles: u32) -> Result<Arc<Receivers>, String> {
+    pub async fn receivers(
+        &self,
+        digest: [u8; 32],
+        triangles: u32,
+    ) -> Result<Arc<Receivers>, String> {
         let kind = Kind::Receivers;
         let fetch = async { self.fetch(kind, digest).await.map_err(|e| e.describe(kind)) };
         self.config.receivers.get(digest, triangles, fetch).await
@@ -110,7 +120,11 @@ impl Shop {
             }
             Err(miss) => miss,
         };
-        self.fall_back(&miss, &format!("{} {}", kind.name(), blake3::Hash::from(digest)), address);
+        self.fall_back(
+            &miss,
+            &format!("{} {}", kind.name(), blake3::Hash::from(digest)),
+            address,
+        );
         let (first, stream) = self.ask(kind, digest, false, true).await?;
         let bytes = assemble(first, stream, digest).await?;
         pulse.moved(Direction::In, Way::Fallback, bytes.len());
@@ -127,16 +141,32 @@ impl Shop {
     ) -> Result<(v1::Chunk, Streaming<v1::Chunk>), Unfetched> {
         let (mut client, digest) = (self.client.clone(), digest.to_vec());
         let answer = match kind {
-            Kind::Scene => client.fetch_scene(v1::FetchSceneRequest { digest, direct, fell_back }).await,
+            Kind::Scene => {
+                client
+                    .fetch_scene(v1::FetchSceneRequest {
+                        digest,
+                        direct,
+                        fell_back,
+                    })
+                    .await
+            }
             Kind::Pack | Kind::Receivers => {
-                client.fetch_pack(v1::FetchPackRequest { digest, direct, fell_back }).await
+                client
+                    .fetch_pack(v1::FetchPackRequest {
+                        digest,
+                        direct,
+                        fell_back,
+                    })
+                    .await
             }
         };
         let mut stream = answer.map_err(Unfetched::Refused)?.into_inner();
         match stream.next().await {
             Some(Ok(first)) => Ok((first, stream)),
             Some(Err(s)) => Err(Unfetched::Refused(s)),
-            None => Err(Unfetched::Broken("the coordinator sent nothing; it is asked again".to_owned())),
+            None => Err(Unfetched::Broken(
+                "the coordinator sent nothing; it is asked again".to_owned(),
+            )),
         }
     }
 
@@ -163,7 +193,11 @@ impl Shop {
                 Err(Miss::Broken(reason)) => reason,
                 Err(miss) => return Err(miss),
             };
-            tries = if download.length() > before { 1 } else { tries + 1 };
+            tries = if download.length() > before {
+                1
+            } else {
+                tries + 1
+            };
             if tries > TRIES {
                 return Err(Miss::Store(reason));
             }
@@ -176,8 +210,10 @@ impl Shop {
             tokio::time::sleep(WAIT * tries).await;
             if asked.elapsed() > Duration::from_secs(u64::from(address.seconds)) / 2 {
                 // It may not be accepted any more.
-                let (again, _) =
-                    self.ask(kind, digest, true, false).await.map_err(|e| Miss::Blob(e.describe(kind)))?;
+                let (again, _) = self
+                    .ask(kind, digest, true, false)
+                    .await
+                    .map_err(|e| Miss::Blob(e.describe(kind)))?;
                 let none = || Miss::Store("the coordinator gives no further address".to_owned());
                 (address, asked) = (again.address.ok_or_else(none)?, Instant::now());
             }
@@ -212,12 +248,17 @@ async fn assemble(
     let mut whole = Assembler::new(MAX_FETCH);
     whole.push(&first).map_err(|e| broken(&e))?;
     while let Some(chunk) = stream.next().await {
-        whole.push(&chunk.map_err(Unfetched::Refused)?).map_err(|e| broken(&e))?;
+        whole
+            .push(&chunk.map_err(Unfetched::Refused)?)
+            .map_err(|e| broken(&e))?;
     }
     let bytes = whole.finish().map_err(|e| broken(&e))?;
     let checked = tokio::task::spawn_blocking(move || {
         let is_it = *blake3::hash(&bytes).as_bytes() == digest;
         is_it.then_some(bytes)
     });
-    checked.await.map_err(|e| broken(&e))?.ok_or(Unfetched::Damaged)
+    checked
+        .await
+        .map_err(|e| broken(&e))?
+        .ok_or(Unfetched::Damaged)
 }

@@ -16,7 +16,10 @@ impl PackCache {
     /// The pack, if it is in the cache.
     pub fn get(&self, digest: &[u8; 32]) -> Option<bytes::Bytes> {
         let packs = self.packs.lock().unwrap_or_else(PoisonError::into_inner);
-        packs.iter().find(|(d, _)| d == digest).map(|(_, b)| b.clone())
+        packs
+            .iter()
+            .find(|(d, _)| d == digest)
+            .map(|(_, b)| b.clone())
     }
 
     /// Adds a pack, unless it is larger than the cache.

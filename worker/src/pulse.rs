@@ -60,8 +60,12 @@ impl Pulse {
 
     /// Tiles by how they ended.
     pub fn tiles(&self) -> [(&'static str, u64); 3] {
-        [("done", &self.done), ("cancelled", &self.cancelled), ("failed", &self.failed)]
-            .map(|(name, count)| (name, count.load(Ordering::Relaxed)))
+        [
+            ("done", &self.done),
+            ("cancelled", &self.cancelled),
+            ("failed", &self.failed),
+        ]
+        .map(|(name, count)| (name, count.load(Ordering::Relaxed)))
     }
 
     /// Scenes, packs and outputs by how they went.
@@ -70,7 +74,12 @@ impl Pulse {
         for (direction, of) in ["in", "out"].into_iter().zip(&self.moved) {
             for (way, counts) in ["direct", "coordinator", "fallback"].into_iter().zip(of) {
                 let [blobs, bytes] = [0, 1].map(|i| counts[i].load(Ordering::Relaxed));
-                all.push(Moved { direction, way, blobs, bytes });
+                all.push(Moved {
+                    direction,
+                    way,
+                    blobs,
+                    bytes,
+                });
             }
         }
         all

@@ -23,12 +23,20 @@ impl ReceiverCache {
     ///
     /// # Errors
     /// The error of `fetch`, or a message when the bytes are no receivers on such a scene.
-    pub async fn get<F>(&self, digest: [u8; 32], triangles: u32, fetch: F) -> Result<Arc<Receivers>, String>
+    pub async fn get<F>(
+        &self,
+        digest: [u8; 32],
+        triangles: u32,
+        fetch: F,
+    ) -> Result<Arc<Receivers>, String>
     where
         F: Future<Output = Result<Vec<u8>, String>>,
     {
         let mut kept = self.kept.lock().await;
-        if let Some(at) = kept.iter().position(|(d, t, _)| (*d, *t) == (digest, triangles)) {
+        if let Some(at) = kept
+            .iter()
+            .position(|(d, t, _)| (*d, *t) == (digest, triangles))
+        {
             let found = kept.remove(at);
             let receivers = Arc::clone(&found.2);
             kept.push(found);
@@ -36,7 +44,9 @@ impl ReceiverCache {
         }
         let bytes = fetch.await?;
         let decoded = tokio::task::spawn_blocking(move || Receivers::decode(&bytes, triangles));
-        let decoded = decoded.await.map_err(|e| format!("the receivers could not be read: {e}"))?;
+        let decoded = decoded
+            .await
+            .map_err(|e| format!("the receivers could not be read: {e}"))?;
         let receivers = Arc::new(decoded.map_err(|e| e.to_string())?);
         if kept.len() == KEPT {
             kept.remove(0);

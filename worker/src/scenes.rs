@@ -26,15 +26,22 @@ impl Loaded {
     /// # Errors
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
-        Ok(Self { scene: BakeScene::new(scene)?, backends: Mutex::default() })
+        Ok(Self {
+            scene: BakeScene::new(scene)?,
+            backends: Mutex::default(),
+        })
     }
 
     /// Builds the hierarchy for sight lines on the cpu backend, if this machine has one, so that the first
     /// tile does not wait for it. Errors are ignored here: the tile that needs the hierarchy tries again and
     /// reports them.
     pub fn warm(&self, backends: &Backends, spec: CubeSpec) {
-        let cpu = backends.profiles().into_iter().find(|p| p.starts_with("cpu/"));
-        let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok()) else {
+        let cpu = backends
+            .profiles()
+            .into_iter()
+            .find(|p| p.starts_with("cpu/"));
+        let Some(backend) = cpu.and_then(|profile| self.backend(backends, &profile, spec, "").ok())
+        else {
             return;
         };
         let traced = self.scene.sampling().traced();
@@ -63,8 +70,15 @@ impl Loaded {
             Strata::Faces => 6,
             Strata::Quadrants => 24,
         };
-        let owner = if backends.is_software(profile) { owner } else { "" };
-        let key = format!("{profile}|{}|{strata}|{}|{owner}", spec.resolution, spec.keep_pixels);
+        let owner = if backends.is_software(profile) {
+            owner
+        } else {
+            ""
+        };
+        let key = format!(
+            "{profile}|{}|{strata}|{}|{owner}",
+            spec.resolution, spec.keep_pixels
+        );
         let mut open = self.backends.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(backend) = open.get(&key) {
             return Ok(Arc::clone(backend));
@@ -93,7 +107,9 @@ pub struct SceneCache {
 impl SceneCache {
     /// A cache that holds one scene.
     pub fn holding(digest: [u8; 32], loaded: Arc<Loaded>) -> Self {
-        Self { scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]) }
+        Self {
+            scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]),
+        }
     }
 
     /// The scene with `digest`; `fetch` is called when it is not in the cache, and checks the digest of what
@@ -114,7 +130,8 @@ impl SceneCache {
         }
         let bytes = fetch.await?;
         let loaded = tokio::task::spawn_blocking(move || {
-            let scene = Scene::from_blob("scene that was fetched", &bytes).map_err(|e| e.to_string())?;
+            let scene =
+                Scene::from_blob("scene that was fetched", &bytes).map_err(|e| e.to_string())?;
             drop(bytes);
             let loaded = Loaded::new(Arc::new(scene)).map_err(|e| e.to_string())?;
             Ok::<_, String>(Arc::new(loaded))

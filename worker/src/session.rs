@@ -64,7 +64,10 @@ pub struct Worker {
     held: BTreeMap<LeaseKey, Arc<Held>>,
     /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
     helping: BTreeMap<LeaseKey, Arc<Held>>,
-    finished: (mpsc::UnboundedSender<Finished>, mpsc::UnboundedReceiver<Finished>),
+    finished: (
+        mpsc::UnboundedSender<Finished>,
+        mpsc::UnboundedReceiver<Finished>,
+    ),
     /// What has ended and no coordinator has heard of, as far as is known.
     unsaid: Vec<ToCoordinator>,
 }
@@ -92,7 +95,9 @@ impl Worker {
             packs: Default::default(),
             running: Semaphore::new(1),
         };
-        let instance = getrandom::u64().map_err(|e| WorkerError::Random(e.to_string()))?.max(1);
+        let instance = getrandom::u64()
+            .map_err(|e| WorkerError::Random(e.to_string()))?
+            .max(1);
         Ok(Self {
             shop: Arc::new(shop),
             instance,
@@ -132,7 +137,12 @@ impl Worker {
             if connected.elapsed() > STEADY {
                 (wait, since) = (RECONNECT[0], Instant::now());
             }
-            if self.shop.config.give_up_after.is_some_and(|limit| since.elapsed() > limit) {
+            if self
+                .shop
+                .config
+                .give_up_after
+                .is_some_and(|limit| since.elapsed() > limit)
+            {
                 let address = self.shop.config.coordinator.clone();
                 return Err(WorkerError::Unreachable { address, reason });
             }
@@ -166,7 +176,10 @@ impl Worker {
 
     /// Gives back what a draining worker does not finish: tiles that have not begun, and crews.
     fn give_back(&self) {
-        self.held.values().filter(|h| !h.begun()).for_each(|h| h.cancel());
+        self.held
+            .values()
+            .filter(|h| !h.begun())
+            .for_each(|h| h.cancel());
         self.helping.values().for_each(|h| h.cancel());
     }
 
@@ -178,15 +191,21 @@ impl Worker {
         while let Ok(done) = self.finished.1.try_recv() {
             let said = self.done(done, draining);
             // How many tiles it wants it says when it is welcome.
-            self.unsaid.extend(said.into_iter().filter(|m| !matches!(m, ToCoordinator::Want(_))));
+            self.unsaid.extend(
+                said.into_iter()
+                    .filter(|m| !matches!(m, ToCoordinator::Want(_))),
+            );
         }
         let (out, receiver) = mpsc::channel(64);
         let send = |m: ToCoordinator| {
-            out.try_send(v1::WorkerMessage { message: Some(m) }).map_err(|e| e.to_string())
+            out.try_send(v1::WorkerMessage { message: Some(m) })
+                .map_err(|e| e.to_string())
         };
         // Jobs that need no backend are for every worker.
         let backends = self.shop.config.backends.profiles();
-        let profiles = backends.into_iter().chain([sightline_model::NO_PROFILE.to_owned()]);
+        let profiles = backends
+            .into_iter()
+            .chain([sightline_model::NO_PROFILE.to_owned()]);
         let hello = v1::Hello {
             name: self.shop.config.name.clone(),
             profiles: profiles.collect(),
@@ -222,7 +241,9 @@ impl Worker {
             {
                 return Err(WorkerError::Refused(describe(&s)));
             }
-            Err(s) if s.code() == tonic::Code::AlreadyExists => return Ok(End::NameTaken(describe(&s))),
+            Err(s) if s.code() == tonic::Code::AlreadyExists => {
+                return Ok(End::NameTaken(describe(&s)));
+            }
             Err(s) => return Ok(broken(&describe(&s))),
         };
         let mut renew = tokio::time::interval(RENEW);
@@ -233,7 +254,10 @@ impl Worker {
                 let read = async { while let Some(Ok(_)) = inbound.next().await {} };
                 // The worker stops even if the coordinator does not answer.
                 let _ = tokio::time::timeout(FAREWELL, read).await;
-                tracing::info!(worker = self.shop.config.name, "drained: no tile is left here");
+                tracing::info!(
+                    worker = self.shop.config.name,
+                    "drained: no tile is left here"
+                );
                 return Ok(End::Stopped);
             }
             tokio::select! {
@@ -395,7 +419,11 @@ impl Worker {
             Finished::Timed(t) => return vec![ToCoordinator::Timed(t)],
             Finished::Helped(lease, held) => {
                 // After a reconnection it may help the same leader again.
-                if !self.helping.get(&key(&lease)).is_some_and(|now| Arc::ptr_eq(now, &held)) {
+                if !self
+                    .helping
+                    .get(&key(&lease))
+                    .is_some_and(|now| Arc::ptr_eq(now, &held))
+                {
                     return Vec::new();
                 }
                 self.helping.remove(&key(&lease));
@@ -405,7 +433,11 @@ impl Worker {
         };
         self.held.remove(&key(&lease));
         let failed = |reason, infrastructure| {
-            ToCoordinator::Failed(v1::TileFailed { lease: Some(lease), reason, infrastructure })
+            ToCoordinator::Failed(v1::TileFailed {
+                lease: Some(lease),
+                reason,
+                infrastructure,
+            })
         };
         self.shop.config.pulse.ended(match &result {
             Ok(()) => Ended::Done,
@@ -413,7 +445,9 @@ impl Worker {
             Err(Failure::Infrastructure(_) | Failure::Tile(_)) => Ended::Failed,
         });
         let mut say = match result {
-            Err(Failure::Cancelled) if draining => vec![failed("its worker is going".to_owned(), true)],
+            Err(Failure::Cancelled) if draining => {
+                vec![failed("its worker is going".to_owned(), true)]
+            }
             Ok(()) | Err(Failure::Cancelled) => Vec::new(),
             Err(Failure::Infrastructure(reason)) => vec![failed(reason, true)],
             Err(Failure::Tile(reason)) => vec![failed(reason, false)],

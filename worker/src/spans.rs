@@ -45,7 +45,12 @@ impl Steps {
         let trace = TraceId::of_bytes(trace).filter(|_| traces.is_on());
         let of = trace.map(|trace| {
             let (whole, worker) = (traces.fresh_id(), config.name.clone());
-            Of { trace, lease, whole, worker }
+            Of {
+                trace,
+                lease,
+                whole,
+                worker,
+            }
         });
         Self { traces, of }
     }
@@ -54,8 +59,11 @@ impl Steps {
     fn send(&self, name: &'static str, begun: Begun, with: impl FnOnce(Span, &Of) -> Span) {
         if let Some(of) = &self.of {
             let span = Span::of(of.trace, name, begun).below(of.whole);
-            let span = span.number("sightline.job", of.lease.job).number("sightline.tile", of.lease.tile);
-            self.traces.send(with(span.name("sightline.worker", &of.worker), of).end());
+            let span = span
+                .number("sightline.job", of.lease.job)
+                .number("sightline.tile", of.lease.tile);
+            self.traces
+                .send(with(span.name("sightline.worker", &of.worker), of).end());
         }
     }
 
@@ -69,15 +77,26 @@ impl Steps {
     /// An output was sent, after this many attempts.
     pub fn uploaded(&self, begun: Begun, bytes: u64, attempts: u32, failed: bool) {
         self.send("upload", begun, |span, _| {
-            let span = span.number("sightline.bytes", bytes).number("sightline.attempts", attempts);
+            let span = span
+                .number("sightline.bytes", bytes)
+                .number("sightline.attempts", attempts);
             span.failed(failed.then_some("failed"))
         });
     }
 
     /// What this worker did under the lease has ended: a tile of its own, or help for another's.
-    pub fn ended(&self, name: &'static str, begun: Begun, profile: &str, samples: u64, end: &'static str) {
+    pub fn ended(
+        &self,
+        name: &'static str,
+        begun: Begun,
+        profile: &str,
+        samples: u64,
+        end: &'static str,
+    ) {
         self.send(name, begun, |span, of| {
-            let lease = of.trace.lease(of.lease.tile, of.lease.epoch, of.lease.lease);
+            let lease = of
+                .trace
+                .lease(of.lease.tile, of.lease.epoch, of.lease.lease);
             span.known_as(of.whole)
                 .below(lease)
                 .name("sightline.profile", profile)
@@ -89,16 +108,29 @@ impl Steps {
 
     /// Runs `compute` with a crew whose phases have spans below that of computing. `helps` says whether only
     /// the items computed here count.
-    pub fn computing<T>(&self, crew: &dyn Crew, helps: bool, compute: impl FnOnce(&dyn Crew) -> T) -> T {
+    pub fn computing<T>(
+        &self,
+        crew: &dyn Crew,
+        helps: bool,
+        compute: impl FnOnce(&dyn Crew) -> T,
+    ) -> T {
         if self.of.is_none() {
             return compute(crew);
         }
         let begun = Begun::now();
-        let timed =
-            Timed { crew, steps: self, whole: self.traces.fresh_id(), helps, phases: AtomicU32::new(0) };
+        let timed = Timed {
+            crew,
+            steps: self,
+            whole: self.traces.fresh_id(),
+            helps,
+            phases: AtomicU32::new(0),
+        };
         let done = compute(&timed);
         let phases = timed.phases.load(Ordering::Relaxed);
-        self.send("compute", begun, |span, _| span.known_as(timed.whole).number("sightline.phases", phases));
+        self.send("compute", begun, |span, _| {
+            span.known_as(timed.whole)
+                .number("sightline.phases", phases)
+        });
         done
     }
 }
@@ -126,13 +158,16 @@ impl Crew for Timed<'_> {
             Some(first) if self.helps => {
                 let last = Duration::from_nanos(counted.last.load(Ordering::Relaxed));
                 let end = Begun::ago(took.saturating_sub(last));
-                self.steps
-                    .send_until("items", *first, end, |span| with(span).number("sightline.items", items));
+                self.steps.send_until("items", *first, end, |span| {
+                    with(span).number("sightline.items", items)
+                });
             }
             _ if !self.helps && took >= LEAST_PHASE => {
                 let all = phase.items() as u64;
                 self.steps.send("phase", counted.begun, |span, _| {
-                    with(span).number("sightline.items", all).number("sightline.items_here", items)
+                    with(span)
+                        .number("sightline.items", all)
+                        .number("sightline.items_here", items)
                 });
             }
             _ => {}
@@ -147,11 +182,20 @@ impl Crew for Timed<'_> {
 
 impl Steps {
     /// Sends a span that ended before now.
-    fn send_until(&self, name: &'static str, begun: Begun, end: Begun, with: impl FnOnce(Span) -> Span) {
+    fn send_until(
+        &self,
+        name: &'static str,
+        begun: Begun,
+        end: Begun,
+        with: impl FnOnce(Span) -> Span,
+    ) {
         if let Some(of) = &self.of {
             let span = Span::of(of.trace, name, begun);
-            let span = span.number("sightline.job", of.lease.job).number("sightline.tile", of.lease.tile);
-            self.traces.send(with(span.name("sightline.worker", &of.worker)).end_at(end));
+            let span = span
+                .number("sightline.job", of.lease.job)
+                .number("sightline.tile", of.lease.tile);
+            self.traces
+                .send(with(span.name("sightline.worker", &of.worker)).end_at(end));
         }
     }
 }
@@ -169,7 +213,13 @@ struct Counted<'a> {
 impl<'a> Counted<'a> {
     fn of(phase: &'a dyn Phase) -> Self {
         let (items, last) = (AtomicU64::new(0), AtomicU64::new(0));
-        Self { phase, begun: Begun::now(), items, first: OnceLock::new(), last }
+        Self {
+            phase,
+            begun: Begun::now(),
+            items,
+            first: OnceLock::new(),
+            last,
+        }
     }
 }
 
@@ -186,11 +236,16 @@ impl Phase for Counted<'_> {
         self.phase.costs()
     }
 
-    fn compute(&self, item: usize, is_needless: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError> {
+    fn compute(
+        &self,
+        item: usize,
+        is_needless: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(), TileError> {
         self.first.get_or_init(Begun::now);
         let done = self.phase.compute(item, is_needless);
         self.items.fetch_add(1, Ordering::Relaxed);
-        self.last.fetch_max(self.begun.elapsed().as_nanos() as u64, Ordering::Relaxed);
+        self.last
+            .fetch_max(self.begun.elapsed().as_nanos() as u64, Ordering::Relaxed);
         done
     }
 

@@ -88,7 +88,9 @@ impl Shop {
     ) -> Result<(), Failure> {
         let begun = Begun::now();
         let infrastructure = Failure::Infrastructure;
-        let wire = grant.spec.ok_or_else(|| Failure::Tile("the grant has no specification".to_owned()))?;
+        let wire = grant
+            .spec
+            .ok_or_else(|| Failure::Tile("the grant has no specification".to_owned()))?;
         let spec = JobSpec::from_proto(&wire, None).map_err(|e| Failure::Tile(e.to_string()))?;
         let loaded = self.scene(spec.scene).await.map_err(infrastructure)?;
         let mut packs = Vec::with_capacity(grant.packs.len());
@@ -110,7 +112,11 @@ impl Shop {
         };
         steps.step("fetch", begun);
         let waits = Begun::now();
-        let turn = self.running.acquire().await.map_err(|e| infrastructure(e.to_string()))?;
+        let turn = self
+            .running
+            .acquire()
+            .await
+            .map_err(|e| infrastructure(e.to_string()))?;
         steps.step("turn", waits);
         if held.cancelled() {
             return Err(Failure::Cancelled);
@@ -128,13 +134,22 @@ impl Shop {
         let (shop, watcher, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
         let (bytes, rendered) = tokio::task::spawn_blocking(move || {
             let deadline = grant.millis.map(|m| start + Duration::from_millis(m));
-            let crew = leader.as_deref().map_or(&Alone as &dyn Crew, |leader| leader);
+            let crew = leader
+                .as_deref()
+                .map_or(&Alone as &dyn Crew, |leader| leader);
             computing.computing(crew, false, |crew| {
-                let work = Work { spec: &spec, profile: &grant.profile, deadline, crew };
+                let work = Work {
+                    spec: &spec,
+                    profile: &grant.profile,
+                    deadline,
+                    crew,
+                };
                 if let Some(receivers) = receivers {
                     let tile = watcher.lease.tile;
                     let done = run_ambient_tile(&spec, tile, &loaded.scene, &receivers, &*watcher);
-                    return done.map(|done| (done.bytes, done.samples)).map_err(|e| failure(e, || {}));
+                    return done
+                        .map(|done| (done.bytes, done.samples))
+                        .map_err(|e| failure(e, || {}));
                 }
                 shop.run(&work, &loaded, packs, &watcher)
             })
@@ -196,7 +211,12 @@ impl Shop {
         let (shop, held, computing) = (Arc::clone(self), Arc::clone(held), steps.clone());
         let ended = tokio::task::spawn_blocking(move || {
             computing.computing(&*helper, true, |crew| {
-                let work = Work { spec: &spec, profile: &help.profile, deadline: None, crew };
+                let work = Work {
+                    spec: &spec,
+                    profile: &help.profile,
+                    deadline: None,
+                    crew,
+                };
                 shop.run(&work, &loaded, Vec::new(), &held)
             })
         });
@@ -215,11 +235,27 @@ impl Shop {
         packs: Vec<Fetched>,
         held: &Held,
     ) -> Result<(Vec<u8>, u64), Failure> {
-        let Work { spec, profile, deadline, crew } = *work;
+        let Work {
+            spec,
+            profile,
+            deadline,
+            crew,
+        } = *work;
         let tile = held.lease.tile;
         if spec.method == Method::Portals {
-            let done = run_portal_tile(spec, tile, &loaded.scene, Control { watcher: held, deadline, crew });
-            return done.map(|done| (done.bytes, done.samples)).map_err(|e| failure(e, || {}));
+            let done = run_portal_tile(
+                spec,
+                tile,
+                &loaded.scene,
+                Control {
+                    watcher: held,
+                    deadline,
+                    crew,
+                },
+            );
+            return done
+                .map(|done| (done.bytes, done.samples))
+                .map_err(|e| failure(e, || {}));
         }
         let owner = self.config.name.as_str();
         if profile.starts_with("cpu/") {
@@ -227,7 +263,12 @@ impl Shop {
             gpu::close_spare();
         }
         let backend = loaded
-            .backend(&self.config.backends, profile, CubeSpec::of(&spec.sampling), owner)
+            .backend(
+                &self.config.backends,
+                profile,
+                CubeSpec::of(&spec.sampling),
+                owner,
+            )
             .map_err(|e| Failure::Infrastructure(e.to_string()))?;
         let packs: Vec<PackBytes<'_>> = packs
             .iter()
@@ -236,7 +277,11 @@ impl Shop {
                 Err(digest) => PackBytes::Lost(*digest),
             })
             .collect();
-        let control = Control { watcher: held, deadline, crew };
+        let control = Control {
+            watcher: held,
+            deadline,
+            crew,
+        };
         // A lost device stays lost; the next tile opens the backend again.
         let done = run_tile(spec, tile, &loaded.scene, &*backend, &packs, control)
             .map_err(|e| failure(e, || loaded.forget(profile)))?;
@@ -254,20 +299,30 @@ impl Shop {
             Division::Tree(_) => Division::Grid([1; 3]),
             ref division => division.clone(),
         };
-        let lattice = division.lattice(spec.view_box.min, spec.view_box.max).map_err(|e| e.to_string())?;
+        let lattice = division
+            .lattice(spec.view_box.min, spec.view_box.max)
+            .map_err(|e| e.to_string())?;
         let loaded = self.scene(spec.scene).await?;
         let config = self.config.clone();
         tokio::task::spawn_blocking(move || {
             let mut times = Vec::new();
             for profile in config.backends.profiles() {
                 let timed = loaded
-                    .backend(&config.backends, &profile, CubeSpec::of(&spec.sampling), &config.name)
+                    .backend(
+                        &config.backends,
+                        &profile,
+                        CubeSpec::of(&spec.sampling),
+                        &config.name,
+                    )
                     .map_err(TileError::from)
                     .and_then(|b| match spec.sampling.sampler {
                         Sampler::Cubes => Ok(auto::time(&*b, &lattice)?),
                         // A region of viewpoints keeps a device from casting whole rounds.
                         Sampler::Lines
-                            if spec.viewpoints.as_ref().is_none_or(|marks| marks.region().is_none()) =>
+                            if spec
+                                .viewpoints
+                                .as_ref()
+                                .is_none_or(|marks| marks.region().is_none()) =>
                         {
                             auto::time_rounds(&*b, loaded.scene.sampling(), &lattice)
                         }
@@ -277,9 +332,10 @@ impl Shop {
                         }
                     });
                 match timed {
-                    Ok(t) => {
-                        times.push(v1::ProfileTime { profile, seconds_per_cube: t.per_cube.as_secs_f64() })
-                    }
+                    Ok(t) => times.push(v1::ProfileTime {
+                        profile,
+                        seconds_per_cube: t.per_cube.as_secs_f64(),
+                    }),
                     Err(e) => tracing::warn!("{profile} cannot be used for this scene: {e}"),
                 }
             }

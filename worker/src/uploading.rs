@@ -49,12 +49,19 @@ impl Shop {
                 return Err(Failure::Cancelled);
             }
             *attempts += 1;
-            let first = v1::ResultPart { part: Some(v1::result_part::Part::Header(header.clone())) };
+            let first = v1::ResultPart {
+                part: Some(v1::result_part::Part::Header(header.clone())),
+            };
             let body = bytes.clone();
-            let chunks = if header.staged.is_empty() { count(&body) } else { 0 };
+            let chunks = if header.staged.is_empty() {
+                count(&body)
+            } else {
+                0
+            };
             // The chunks are made lazily, so only one is in memory at a time.
-            let chunks = (0..chunks)
-                .map(move |i| v1::ResultPart { part: Some(v1::result_part::Part::Chunk(piece(&body, i))) });
+            let chunks = (0..chunks).map(move |i| v1::ResultPart {
+                part: Some(v1::result_part::Part::Chunk(piece(&body, i))),
+            });
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
             match self.client.clone().put_result(parts).await {
                 Ok(_) => {
@@ -109,35 +116,59 @@ impl Shop {
             return Ok(None);
         };
         let body = bytes.clone();
-        let hash = move || ring::digest::digest(&ring::digest::SHA256, &body).as_ref().to_vec();
-        let Ok(sha256) = tokio::task::spawn_blocking(hash).await else { return Ok(None) };
+        let hash = move || {
+            ring::digest::digest(&ring::digest::SHA256, &body)
+                .as_ref()
+                .to_vec()
+        };
+        let Ok(sha256) = tokio::task::spawn_blocking(hash).await else {
+            return Ok(None);
+        };
         let ask = async || {
-            let request =
-                v1::StageResultRequest { lease: header.lease, sha256: sha256.clone(), bytes: header.bytes };
+            let request = v1::StageResultRequest {
+                lease: header.lease,
+                sha256: sha256.clone(),
+                bytes: header.bytes,
+            };
             match self.client.clone().stage_result(request).await {
                 Ok(answer) => answer.into_inner().address,
                 Err(s) => {
-                    tracing::warn!("the output of tile {} is sent: {}", held.lease.tile, describe(&s));
+                    tracing::warn!(
+                        "the output of tile {} is sent: {}",
+                        held.lease.tile,
+                        describe(&s)
+                    );
                     None
                 }
             }
         };
-        let Some(mut address) = ask().await else { return Ok(None) };
+        let Some(mut address) = ask().await else {
+            return Ok(None);
+        };
         let mut tries = 1;
         let miss = loop {
             match direct::upload(&client, &address, bytes.clone(), held).await {
                 Ok(()) => return Ok(Some(sha256)),
                 Err(Miss::Broken(reason)) if tries < TRIES => {
-                    tracing::info!("the output of tile {} is written again: {reason}", held.lease.tile);
+                    tracing::info!(
+                        "the output of tile {} is written again: {reason}",
+                        held.lease.tile
+                    );
                     tries += 1;
                     // The first one may not be accepted any more.
-                    let Some(another) = ask().await else { return Ok(None) };
+                    let Some(another) = ask().await else {
+                        return Ok(None);
+                    };
                     address = another;
                 }
                 Err(miss) => break miss,
             }
         };
-        self.fall_back(&miss, &format!("the output of tile {}", held.lease.tile), &address);
+        self.fall_back(
+            &miss,
+            &format!("the output of tile {}", held.lease.tile),
+            &address,
+        );
         Err(miss)
     }
 }

@@ -52,7 +52,11 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
     let areas: Vec<f64> = (0..scene.triangles().len())
         .map(|id| {
             let [a, b, c] = corners(id);
-            sum += if scene.blocks(id as u32) { (b - a).cross(c - a).length() } else { 0.0 };
+            sum += if scene.blocks(id as u32) {
+                (b - a).cross(c - a).length()
+            } else {
+                0.0
+            };
             sum
         })
         .collect();
@@ -70,7 +74,11 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
             let (x, y) = (f64::from(i % 8) - 3.5, f64::from(i / 8) - 3.5);
             let point = middle + (u * x + w * y) * texel;
             if (0..3).all(|k| normal.dot((v[(k + 1) % 3] - v[k]).cross(point - v[k])) > 0.0) {
-                all.push(Receiver { point, normal, triangle: Some(id as u32) });
+                all.push(Receiver {
+                    point,
+                    normal,
+                    triangle: Some(id as u32),
+                });
             }
         }
     }
@@ -78,7 +86,13 @@ fn points(scene: &Scene, squares: u32, texel: f64) -> Vec<Receiver> {
 }
 
 /// The openness of a point by jittered rays.
-fn by_rays(tracer: &Occlusion, r: &Receiver, rays: u32, (near, distance): (f64, f64), seed: u64) -> f64 {
+fn by_rays(
+    tracer: &Occlusion,
+    r: &Receiver,
+    rays: u32,
+    (near, distance): (f64, f64),
+    seed: u64,
+) -> f64 {
     let mut random = SplitMix64::new(seed);
     let (u, v) = r.normal.any_orthonormal_pair();
     // Of whole packets of 4 × 4.
@@ -93,7 +107,10 @@ fn by_rays(tracer: &Occlusion, r: &Receiver, rays: u32, (near, distance): (f64, 
     // Packets are 4 × 4 neighbours.
     for block in 0..(side / 4) * (side / 4) {
         for k in 0..16 {
-            let (i, j) = (block / (side / 4) * 4 + k / 4, block % (side / 4) * 4 + k % 4);
+            let (i, j) = (
+                block / (side / 4) * 4 + k / 4,
+                block % (side / 4) * 4 + k % 4,
+            );
             let s = (f64::from(i) + unit(&mut random)) / f64::from(side);
             let turn = (f64::from(j) + unit(&mut random)) / f64::from(side) * std::f64::consts::TAU;
             let (y, x) = turn.sin_cos();
@@ -136,7 +153,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let begun = Instant::now();
         let answers = solver.solve(&receivers, |_| {});
         let exact = per_point(begun.elapsed().as_secs_f64(), receivers.len());
-        let parts = answers.iter().map(|a| f64::from(a.openness.parts)).sum::<f64>() / answers.len() as f64;
+        let parts = answers
+            .iter()
+            .map(|a| f64::from(a.openness.parts))
+            .sum::<f64>()
+            / answers.len() as f64;
         let bound = answers.iter().map(|a| a.openness.bound).fold(0.0, f64::max);
         println!(
             "| {distance} | exact, {} points, {parts:.0} parts, prepared in {:.2} s (Embree {:.2} s) \
@@ -150,28 +171,47 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             alone.block.0 = 1;
             let mut variants = vec![("each point alone", alone)];
             if distance.is_finite() {
-                variants.push(("falloff", Settings { falloff: Falloff::Sqrt, ..Settings::new(*distance) }));
+                variants.push((
+                    "falloff",
+                    Settings {
+                        falloff: Falloff::Sqrt,
+                        ..Settings::new(*distance)
+                    },
+                ));
             }
             for (name, settings) in variants {
                 let solver = Solver::new(&prepared_scene, settings);
                 let begun = Instant::now();
                 solver.solve(&receivers, |_| {});
                 let took = per_point(begun.elapsed().as_secs_f64(), receivers.len());
-                println!("| {distance} | {name} | {took:.1} | {:.2} | | | |", took / exact);
+                println!(
+                    "| {distance} | {name} | {took:.1} | {:.2} | | | |",
+                    took / exact
+                );
             }
         }
         let step = receivers.len().div_ceil(args.traced).max(1);
-        let some: Vec<(&Receiver, f64)> =
-            receivers.iter().zip(&answers).step_by(step).map(|(r, a)| (r, a.openness.open)).collect();
+        let some: Vec<(&Receiver, f64)> = receivers
+            .iter()
+            .zip(&answers)
+            .step_by(step)
+            .map(|(r, a)| (r, a.openness.open))
+            .collect();
         for rays in &args.rays {
             let begun = Instant::now();
             let traced: Vec<f64> = some
                 .par_iter()
                 .enumerate()
-                .map(|(i, (r, _))| by_rays(&tracer, r, *rays, (diagonal * 1e-6, *distance), i as u64))
+                .map(|(i, (r, _))| {
+                    by_rays(&tracer, r, *rays, (diagonal * 1e-6, *distance), i as u64)
+                })
                 .collect();
             let took = per_point(begun.elapsed().as_secs_f64(), some.len());
-            let off: Vec<f64> = some.iter().zip(&traced).map(|((_, open), t)| (open - t).abs()).collect();
+            let off: Vec<f64> = some
+                .iter()
+                .zip(&traced)
+                .map(|((_, open), t)| (open - t).abs())
+                .collect();
             let right = off.iter().filter(|d| **d <= 0.5 / 255.0).count() as f64 / off.len() as f64;
             let square = (off.iter().map(|d| d * d).sum::<f64>() / off.len() as f64).sqrt();
             println!(

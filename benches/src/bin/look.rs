@@ -50,7 +50,11 @@ struct Args {
 fn main() -> Result<(), AnyError> {
     let args = Args::parse();
     for path in &args.scenes {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         let scene = Arc::new(sightline_scene::load(path)?);
         let start = Instant::now();
         let built = build(&scene, &Quiet)?;
@@ -67,7 +71,8 @@ fn main() -> Result<(), AnyError> {
             built.cells.view().cell_count(),
             built.cells.meets.len(),
             built.cells.view().cell_count() as f64 / f64::from(scene.len()),
-            100.0 * built.counts.decisions.integers as f64 / built.counts.decisions.all.max(1) as f64,
+            100.0 * built.counts.decisions.integers as f64
+                / built.counts.decisions.all.max(1) as f64,
             built.counts.decisions.all,
             file.len() as f64 / 1e6
         );
@@ -87,7 +92,8 @@ fn main() -> Result<(), AnyError> {
 
 /// Random points of the scene's box that are in no closed solid.
 fn points(args: &Args, scene: &Scene, tets: &Tets) -> Result<Vec<Vec3>, AnyError> {
-    let (mut stream, mut scratch, mut out) = (SplitMix64::new(args.seed), Scratch::default(), Vec::new());
+    let (mut stream, mut scratch, mut out) =
+        (SplitMix64::new(args.seed), Scratch::default(), Vec::new());
     let bounds = scene.bounds();
     let mut tries = 0u64;
     while out.len() < args.points as usize {
@@ -106,7 +112,11 @@ fn points(args: &Args, scene: &Scene, tets: &Tets) -> Result<Vec<Vec3>, AnyError
 
 fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError> {
     let points = points(args, scene, tets)?;
-    let spec = CubeSpec { resolution: 512, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 512,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let embree = CpuBackend::new(scene.clone(), spec)?;
     let renderer = embree.prepare(None)?;
     // The first one of a kind takes memory.
@@ -132,8 +142,14 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
     let angle = args.angle.to_radians();
     let modes = [
         ("exact".to_owned(), Mode::Exact),
-        (format!("aggressive {}°", args.angle), Mode::Aggressive(angle)),
-        (format!("conservative {}°", args.angle), Mode::Conservative(angle)),
+        (
+            format!("aggressive {}°", args.angle),
+            Mode::Aggressive(angle),
+        ),
+        (
+            format!("conservative {}°", args.angle),
+            Mode::Conservative(angle),
+        ),
     ];
     let mut scratch = Scratch::default();
     // The exact sets by boxes, which the others are compared with.
@@ -143,7 +159,10 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
             if args.skip_cells && engine == Engine::Cells {
                 continue;
             }
-            let view = View { engine, ..View::default() };
+            let view = View {
+                engine,
+                ..View::default()
+            };
             tets.look(points[0].as_dvec3().to_array(), &view, *mode, &mut scratch)?;
             let (mut seen, mut cells, mut beams, mut dropped) = (0usize, 0u64, 0u64, 0.0);
             let start = Instant::now();
@@ -168,7 +187,9 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
                     Mode::Conservative(_) => within(exact, set),
                 };
                 if !holds {
-                    return Err(format!("{name} by {by} from {x}: not as the exact set by boxes").into());
+                    return Err(
+                        format!("{name} by {by} from {x}: not as the exact set by boxes").into(),
+                    );
                 }
             }
             let of = |sum: f64| sum / points.len() as f64;
@@ -202,7 +223,10 @@ fn targets(
     let extent = bounds.max - bounds.min;
     let half = Vec3::splat(extent.max_element() / 200.0);
     let mut unit = || Vec3::new(stream.unit_f32(), stream.unit_f32(), stream.unit_f32());
-    let boxes: Vec<(Vec3, Vec3)> = points.iter().map(|x| (*x, bounds.min + extent * unit())).collect();
+    let boxes: Vec<(Vec3, Vec3)> = points
+        .iter()
+        .map(|x| (*x, bounds.min + extent * unit()))
+        .collect();
     println!("\n| a box's share | µs | shown | mean difference from the share |");
     println!("|---|---|---|---|");
     let mut scratch = Scratch::default();
@@ -215,33 +239,51 @@ fn targets(
         let start = Instant::now();
         for (x, middle) in &boxes {
             let [low, high] = [*middle - half, *middle + half].map(|p| p.as_dvec3().to_array());
-            let view = View { engine, ..View::default() };
+            let view = View {
+                engine,
+                ..View::default()
+            };
             let x = x.as_dvec3().to_array();
             exact.push(tets.sees_in(x, &Target { low, high }, &view, Mode::Exact, &mut scratch)?);
         }
         let micros = start.elapsed().as_secs_f64() * 1e6 / boxes.len() as f64;
         let shown = exact.iter().filter(|s| **s > 0.0).count();
-        println!("| exact, {by} | {micros:.0} | {shown} of {} | |", boxes.len());
+        println!(
+            "| exact, {by} | {micros:.0} | {shown} of {} | |",
+            boxes.len()
+        );
     }
     for rays in [64usize, 1024] {
         let (mut apart, mut shown) = (0.0, 0);
         let mut took = 0.0;
         for ((x, middle), share) in boxes.iter().zip(&exact) {
             let mut packets = vec![Packet::default(); rays / LANES];
-            let ends: Vec<Vec3> = (0..rays).map(|_| *middle - half + half * 2.0 * unit()).collect();
+            let ends: Vec<Vec3> = (0..rays)
+                .map(|_| *middle - half + half * 2.0 * unit())
+                .collect();
             let start = Instant::now();
             for (packet, ends) in packets.iter_mut().zip(ends.chunks(LANES)) {
-                ends.iter().for_each(|end| packet.push(x.to_array(), (*end - *x).to_array()));
+                ends.iter()
+                    .for_each(|end| packet.push(x.to_array(), (*end - *x).to_array()));
                 packet.distance = [1.0; LANES];
             }
             tracer.trace_within(&mut packets, false)?;
-            let free = packets.iter().flat_map(|p| p.distance).filter(|d| *d >= 1.0).count();
+            let free = packets
+                .iter()
+                .flat_map(|p| p.distance)
+                .filter(|d| *d >= 1.0)
+                .count();
             took += start.elapsed().as_secs_f64();
             apart += (free as f64 / rays as f64 - share).abs();
             shown += usize::from(free > 0);
         }
         let of = |sum: f64| sum / boxes.len() as f64;
-        println!("| {rays} rays | {:.0} | {shown} of {} | {:.3} |", of(took) * 1e6, boxes.len(), of(apart));
+        println!(
+            "| {rays} rays | {:.0} | {shown} of {} | {:.3} |",
+            of(took) * 1e6,
+            boxes.len(),
+            of(apart)
+        );
     }
     Ok(())
 }

@@ -18,7 +18,12 @@ fn coded(triangles: u32, ids: &[u32]) -> Result<u64, AnyError> {
         triangles,
         method: String::new(),
         tree: CellTree::new([[0.0; 3]; 2], vec![Node::Leaf])?,
-        objects: vec![Object { name: String::new(), first: 0, count: triangles, source: None }],
+        objects: vec![Object {
+            name: String::new(),
+            first: 0,
+            count: triangles,
+            source: None,
+        }],
         info_json: String::new(),
     })?;
     builder.push_cell(ids, &[], 0)?;
@@ -38,14 +43,20 @@ fn bitmap(triangles: u32, ids: &[u32]) -> Vec<u8> {
 fn xor(a: &[u32], b: &[u32]) -> Vec<u32> {
     let mut both: Vec<u32> = a.iter().chain(b).copied().collect();
     both.sort_unstable();
-    both.chunk_by(|x, y| x == y).filter(|same| same.len() == 1).map(|same| same[0]).collect()
+    both.chunk_by(|x, y| x == y)
+        .filter(|same| same.len() == 1)
+        .map(|same| same[0])
+        .collect()
 }
 
 /// Ids that are in more than half of the sets.
 fn majority(sets: &[Vec<u32>]) -> Vec<u32> {
     let mut all: Vec<u32> = sets.iter().flatten().copied().collect();
     all.sort_unstable();
-    all.chunk_by(|x, y| x == y).filter(|same| same.len() * 2 > sets.len()).map(|same| same[0]).collect()
+    all.chunk_by(|x, y| x == y)
+        .filter(|same| same.len() * 2 > sets.len())
+        .map(|same| same[0])
+        .collect()
 }
 
 /// The first node after the subtree at `node`.
@@ -88,11 +99,20 @@ fn thesis(pvs: &Pvs, node: usize, cell: &mut u32, bytes: &mut u64) -> Result<Vec
 }
 
 fn main() -> Result<(), AnyError> {
-    let path = std::env::args().nth(1).ok_or("usage: pvs_sizes RESULT.pvs")?;
+    let path = std::env::args()
+        .nth(1)
+        .ok_or("usage: pvs_sizes RESULT.pvs")?;
     let pvs = Pvs::open(&path)?;
     let (n, cells) = (pvs.triangle_count(), pvs.cells());
     let per_cell = |bytes: u64| bytes as f64 / f64::from(cells);
-    let [mut ids_total, mut apart, mut neighbour, mut roar, mut zstd_bits, mut read] = [0u64; 6];
+    let [
+        mut ids_total,
+        mut apart,
+        mut neighbour,
+        mut roar,
+        mut zstd_bits,
+        mut read,
+    ] = [0u64; 6];
     let (mut ids, mut before) = (Vec::new(), Vec::new());
     for cell in 0..cells {
         pvs.visible(cell, &mut ids)?;
@@ -112,7 +132,10 @@ fn main() -> Result<(), AnyError> {
     let ours = pvs.file_bytes()[1];
     let offsets = (pvs.tree().nodes().len() as u64 + 1) * 8;
     let recoded = zstd::bulk::compress(pvs.visible_section(), 19)?.len() as u64;
-    println!("{n} triangles, {cells} cells, {:.0} visible a cell", per_cell(ids_total));
+    println!(
+        "{n} triangles, {cells} cells, {:.0} visible a cell",
+        per_cell(ids_total)
+    );
     println!("bytes per cell:");
     for (name, bytes) in [
         ("roaring, run optimised", roar),
@@ -127,6 +150,9 @@ fn main() -> Result<(), AnyError> {
     ] {
         println!("  {name:<28}{:>10.0}", per_cell(bytes));
     }
-    println!("bits per visible id, as in the file: {:.3}", ours as f64 * 8.0 / ids_total.max(1) as f64);
+    println!(
+        "bits per visible id, as in the file: {:.3}",
+        ours as f64 * 8.0 / ids_total.max(1) as f64
+    );
     Ok(())
 }

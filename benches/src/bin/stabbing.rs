@@ -27,11 +27,23 @@ fn main() {
     for doors in [4, 16, 64, 256, 1024, 4096] {
         for moved in [false, true] {
             let each = if doors > 256 { EACH / 8 } else { EACH };
-            let name = if moved { "doors, one moved aside" } else { "doors" };
-            time(&format!("{doors} {name}"), (0..each).map(|_| axial(doors, moved, &mut random)).collect());
+            let name = if moved {
+                "doors, one moved aside"
+            } else {
+                "doors"
+            };
+            time(
+                &format!("{doors} {name}"),
+                (0..each)
+                    .map(|_| axial(doors, moved, &mut random))
+                    .collect(),
+            );
         }
     }
-    time("5 tilted polygons", (0..EACH * 10).map(|_| tilted(&mut random)).collect());
+    time(
+        "5 tilted polygons",
+        (0..EACH * 10).map(|_| tilted(&mut random)).collect(),
+    );
 }
 
 /// Prints a line of the table.
@@ -51,7 +63,9 @@ fn time(name: &str, sequences: Vec<Vec<Polygon>>) {
     took.sort_unstable();
     let [stabbed, blocked, undecided] = counts;
     let (median, most) = (took[took.len() / 2], took[took.len() - 1]);
-    println!("| {name} | {edges} | {stabbed} | {blocked} | {undecided} | {median:.1?} | {most:.1?} |");
+    println!(
+        "| {name} | {edges} | {stabbed} | {blocked} | {undecided} | {median:.1?} | {most:.1?} |"
+    );
 }
 
 fn between(random: &mut SplitMix64, least: i64, most: i64) -> i64 {
@@ -74,8 +88,12 @@ fn axial(doors: usize, moved: bool, random: &mut SplitMix64) -> Vec<Polygon> {
         t += between(random, 500, 1500);
         let axis = [0, 0, 1, 2][between(random, 0, 3) as usize];
         let at = [t, t * 7 / 10, t / 2];
-        let mut range =
-            |axis: usize| [at[axis] - between(random, 50, 2000), at[axis] + between(random, 50, 2000)];
+        let mut range = |axis: usize| {
+            [
+                at[axis] - between(random, 50, 2000),
+                at[axis] + between(random, 50, 2000),
+            ]
+        };
         let (mut u, v) = (range((axis + 1) % 3), range((axis + 2) % 3));
         if moved && k == doors * 2 / 3 {
             u = [u[1] + 3000, u[1] + 4000];
@@ -86,7 +104,12 @@ fn axial(doors: usize, moved: bool, random: &mut SplitMix64) -> Vec<Polygon> {
             p[(axis + 2) % 3] = v[j];
             p
         };
-        portals.extend(polygon(&[corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)]));
+        portals.extend(polygon(&[
+            corner(0, 0),
+            corner(1, 0),
+            corner(1, 1),
+            corner(0, 1),
+        ]));
     }
     portals
 }
@@ -97,12 +120,20 @@ fn tilted(random: &mut SplitMix64) -> Vec<Polygon> {
         let n = if portals.len() % 2 == 0 { 5 } else { 4 };
         // In the plane z = 3k + (a x + b y) / 16, with x and y multiples of 16.
         let (a, b) = (between(random, -4, 4), between(random, -4, 4));
-        let (x, y, r) = (between(random, -40, 40), between(random, -40, 40), between(random, 32, 76));
+        let (x, y, r) = (
+            between(random, -40, 40),
+            between(random, -40, 40),
+            between(random, 32, 76),
+        );
         let skew = between(random, -5, 5);
         let corner = |i: usize| {
             let [u, v] = if n == 5 { FIVE[i] } else { FOUR[i] };
             let [x, y] = [x + r * (10 * u + skew * v) / 100, y + r * v / 10];
-            [16 * x, 16 * y, 3 * UNIT * portals.len() as i64 + a * x + b * y]
+            [
+                16 * x,
+                16 * y,
+                3 * UNIT * portals.len() as i64 + a * x + b * y,
+            ]
         };
         let corners: Vec<[i64; 3]> = (0..n).map(corner).collect();
         portals.extend(polygon(&corners));

@@ -73,7 +73,10 @@ fn world(forest: bool, random: &mut Random) -> World {
                 for _ in 0..700 {
                     let d = [random.below(11), random.below(11), random.below(11)];
                     if d.iter().map(|&c| (c as i32 - 5).pow(2)).sum::<i32>() < 27 {
-                        put(&mut blocks, [(cx + d[0]).max(5) - 5, (cy + d[1]).max(5) - 5, 10 + d[2]]);
+                        put(
+                            &mut blocks,
+                            [(cx + d[0]).max(5) - 5, (cy + d[1]).max(5) - 5, 10 + d[2]],
+                        );
                     }
                 }
             } else {
@@ -96,7 +99,11 @@ fn world(forest: bool, random: &mut Random) -> World {
             for &p in list {
                 let (axis, up) = (face / 2, face % 2 == 0);
                 let mut q = p;
-                q[axis] = if up { q[axis] + 1 } else { q[axis].wrapping_sub(1) };
+                q[axis] = if up {
+                    q[axis] + 1
+                } else {
+                    q[axis].wrapping_sub(1)
+                };
                 let exposed = q[axis] >= SIZE[axis] || object[at(q)] == 0;
                 // In a forest the six faces of a block have consecutive ids; in a city the faces of one side
                 // of a house do.
@@ -119,7 +126,12 @@ fn world(forest: bool, random: &mut Random) -> World {
             source: None,
         });
     }
-    World { object, first, triangles, objects }
+    World {
+        object,
+        first,
+        triangles,
+        objects,
+    }
 }
 
 impl World {
@@ -132,11 +144,23 @@ impl World {
         }
         let mut t: [f32; 3] = std::array::from_fn(|a| {
             let edge = cell[a] as f32 + if d[a] > 0.0 { 1.0 } else { 0.0 };
-            if d[a] == 0.0 { f32::INFINITY } else { (edge - p[a]) / d[a] }
+            if d[a] == 0.0 {
+                f32::INFINITY
+            } else {
+                (edge - p[a]) / d[a]
+            }
         });
         loop {
-            let a = if t[0] < t[1] && t[0] < t[2] { 0 } else { 1 + usize::from(t[2] <= t[1]) };
-            cell[a] = if d[a] > 0.0 { cell[a] + 1 } else { cell[a].wrapping_sub(1) };
+            let a = if t[0] < t[1] && t[0] < t[2] {
+                0
+            } else {
+                1 + usize::from(t[2] <= t[1])
+            };
+            cell[a] = if d[a] > 0.0 {
+                cell[a] + 1
+            } else {
+                cell[a].wrapping_sub(1)
+            };
             if cell[a] >= SIZE[a] {
                 return None;
             }
@@ -144,7 +168,8 @@ impl World {
                 let hit: [f32; 3] = std::array::from_fn(|i| p[i] + t[a] * d[i] - cell[i] as f32);
                 let half = u32::from(hit[(a + 1) % 3] > hit[(a + 2) % 3]);
                 let face = a * 2 + usize::from(d[a] > 0.0);
-                return Some(self.first[at(cell)][face].wrapping_add(half)).filter(|&id| id < self.triangles);
+                return Some(self.first[at(cell)][face].wrapping_add(half))
+                    .filter(|&id| id < self.triangles);
             }
             t[a] += 1.0 / d[a].abs();
         }
@@ -158,8 +183,12 @@ fn grid(bounds: [[f32; 3]; 2], cells: [usize; 3], nodes: &mut Vec<Node>) {
         return nodes.push(Node::Leaf);
     }
     let below = cells[axis] / 2;
-    let at = bounds[0][axis] + (bounds[1][axis] - bounds[0][axis]) * below as f32 / cells[axis] as f32;
-    nodes.push(Node::Split { axis: axis as u8, at });
+    let at =
+        bounds[0][axis] + (bounds[1][axis] - bounds[0][axis]) * below as f32 / cells[axis] as f32;
+    nodes.push(Node::Split {
+        axis: axis as u8,
+        at,
+    });
     let (mut lower, mut upper) = ((bounds, cells), (bounds, cells));
     lower.0[1][axis] = at;
     lower.1[axis] = below;
@@ -190,7 +219,9 @@ fn main() -> Result<(), AnyError> {
     })?;
     let mut seen = vec![false; world.triangles as usize];
     for cell in 0..tree.cells() {
-        let Some([lo, hi]) = tree.cell_bounds(cell) else { break };
+        let Some([lo, hi]) = tree.cell_bounds(cell) else {
+            break;
+        };
         seen.fill(false);
         for _ in 0..rays {
             let p = std::array::from_fn(|a| lo[a] + (hi[a] - lo[a]) * random.unit());
@@ -199,11 +230,17 @@ fn main() -> Result<(), AnyError> {
                 seen[id as usize] = true;
             }
         }
-        let ids: Vec<u32> = (0..world.triangles).filter(|&id| seen[id as usize]).collect();
+        let ids: Vec<u32> = (0..world.triangles)
+            .filter(|&id| seen[id as usize])
+            .collect();
         builder.push_cell(&ids, &[], 0)?;
     }
     let mut file = std::io::BufWriter::new(std::fs::File::create(out)?);
     let stats = builder.finish(&mut file)?;
-    println!("{} triangles, {} cells, {stats:?}", world.triangles, tree.cells());
+    println!(
+        "{} triangles, {} cells, {stats:?}",
+        world.triangles,
+        tree.cells()
+    );
     Ok(())
 }

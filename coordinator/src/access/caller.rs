@@ -39,7 +39,9 @@ impl FromStr for Scope {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let named = Self::ALL.into_iter().find(|scope| scope.to_string() == text);
+        let named = Self::ALL
+            .into_iter()
+            .find(|scope| scope.to_string() == text);
         named.ok_or_else(|| "a scope is read, submit, worker or admin".to_owned())
     }
 }
@@ -56,7 +58,10 @@ impl Scopes {
 
     /// Those that the set names.
     pub fn named(self) -> Vec<Scope> {
-        Scope::ALL.into_iter().filter(|scope| self.0 >> *scope as u8 & 1 == 1).collect()
+        Scope::ALL
+            .into_iter()
+            .filter(|scope| self.0 >> *scope as u8 & 1 == 1)
+            .collect()
     }
 
     /// Whether the set allows what a scope allows: who may submit may read, and `admin` may everything.
@@ -127,7 +132,10 @@ pub enum Need {
 /// What a call needs, by its path, such as `/sightline.v1.Jobs/List`. Calls that are not listed need `admin`.
 pub fn needed(path: &str) -> Need {
     let mut parts = path.trim_start_matches('/').splitn(2, '/');
-    let (service, method) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+    let (service, method) = (
+        parts.next().unwrap_or_default(),
+        parts.next().unwrap_or_default(),
+    );
     Need::Scope(match (service, method) {
         ("grpc.health.v1.Health", _) => return Need::Nothing,
         ("grpc.reflection.v1.ServerReflection" | "grpc.reflection.v1alpha.ServerReflection", _) => {

@@ -41,29 +41,50 @@ impl Access {
     /// [`TokenError`] when the file cannot be used.
     pub fn new(path: Option<PathBuf>, certified: bool) -> Result<Self, TokenError> {
         let known = match &path {
-            Some(path) => Known { as_of: stamp(path), tokens: TokenFile::read(path)?, failure: None },
-            None => Known { as_of: None, tokens: TokenFile::default(), failure: None },
+            Some(path) => Known {
+                as_of: stamp(path),
+                tokens: TokenFile::read(path)?,
+                failure: None,
+            },
+            None => Known {
+                as_of: None,
+                tokens: TokenFile::default(),
+                failure: None,
+            },
         };
-        Ok(Self { path, known: RwLock::new(known), certified })
+        Ok(Self {
+            path,
+            known: RwLock::new(known),
+            certified,
+        })
     }
 
     /// Who a caller is, by the token and the certificate of the call. A certificate has been checked.
     ///
     /// # Errors
     /// A sentence for the caller, when the token is none of this coordinator's.
-    pub fn identify(&self, token: Option<&str>, certificate: Option<&[u8]>) -> Result<Caller, &'static str> {
+    pub fn identify(
+        &self,
+        token: Option<&str>,
+        certificate: Option<&[u8]>,
+    ) -> Result<Caller, &'static str> {
         match (token, certificate) {
             (Some(token), _) if self.path.is_some() => {
                 let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
-                let token = known
-                    .tokens
-                    .find(token)
-                    .ok_or("the token is not known here, or was revoked; `sightline token new` makes one")?;
-                Ok(Caller::User { name: token.user.clone(), scopes: token.scopes })
+                let token = known.tokens.find(token).ok_or(
+                    "the token is not known here, or was revoked; `sightline token new` makes one",
+                )?;
+                Ok(Caller::User {
+                    name: token.user.clone(),
+                    scopes: token.scopes,
+                })
             }
             (_, Some(certificate)) if self.certified => {
                 let name = format!("certificate {}", &blake3::hash(certificate).to_hex()[..16]);
-                Ok(Caller::User { name, scopes: Scopes::of(&[Scope::Worker]) })
+                Ok(Caller::User {
+                    name,
+                    scopes: Scopes::of(&[Scope::Worker]),
+                })
             }
             _ => Ok(Caller::Nobody),
         }
@@ -76,8 +97,12 @@ impl Access {
     pub(crate) fn identify_digest(&self, digest: &TokenDigest) -> Result<Caller, &'static str> {
         let known = self.known.read().unwrap_or_else(PoisonError::into_inner);
         let token = known.tokens.with_digest(digest);
-        let token = token.ok_or("the token of the session was revoked; log in with another one at /login")?;
-        Ok(Caller::User { name: token.user.clone(), scopes: token.scopes })
+        let token = token
+            .ok_or("the token of the session was revoked; log in with another one at /login")?;
+        Ok(Caller::User {
+            name: token.user.clone(),
+            scopes: token.scopes,
+        })
     }
 
     /// Whether a caller may make a call with this need; a sentence when not.
@@ -85,7 +110,9 @@ impl Access {
     /// # Errors
     /// That sentence, and whether telling who it is could help.
     pub fn permit(&self, caller: &Caller, need: Need) -> Result<(), Refusal> {
-        let Need::Scope(scope) = need else { return Ok(()) };
+        let Need::Scope(scope) = need else {
+            return Ok(());
+        };
         let asked = match scope {
             Scope::Worker => self.certified || self.path.is_some(),
             _ => self.path.is_some(),
@@ -117,14 +144,24 @@ impl Access {
     pub fn refresh(&self) {
         let Some(path) = &self.path else { return };
         let now = stamp(path);
-        if now.is_some() && self.known.read().unwrap_or_else(PoisonError::into_inner).as_of == now {
+        if now.is_some()
+            && self
+                .known
+                .read()
+                .unwrap_or_else(PoisonError::into_inner)
+                .as_of
+                == now
+        {
             return;
         }
         match TokenFile::read(path) {
             Ok(tokens) => {
                 tracing::info!("read the tokens again: {}", tokens.tokens.len());
-                *self.known.write().unwrap_or_else(PoisonError::into_inner) =
-                    Known { tokens, as_of: now, failure: None };
+                *self.known.write().unwrap_or_else(PoisonError::into_inner) = Known {
+                    tokens,
+                    as_of: now,
+                    failure: None,
+                };
             }
             Err(e) => {
                 let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);

@@ -3,7 +3,13 @@
 use super::*;
 
 fn token(file: &mut TokenFile, user: &str, scopes: &[Scope], seed: u8) -> String {
-    file.add(user, scopes, 1, std::array::from_fn(|i| seed.wrapping_mul(31).wrapping_add(i as u8))).unwrap()
+    file.add(
+        user,
+        scopes,
+        1,
+        std::array::from_fn(|i| seed.wrapping_mul(31).wrapping_add(i as u8)),
+    )
+    .unwrap()
 }
 
 #[test]
@@ -21,7 +27,10 @@ fn tokens_survive_the_file_and_their_secrets_are_not_in_it() {
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+        assert_eq!(
+            std::fs::metadata(&path).unwrap().permissions().mode() & 0o777,
+            0o600
+        );
     }
     let mut read = TokenFile::read(&path).unwrap();
     assert_eq!(read, file);
@@ -29,20 +38,29 @@ fn tokens_survive_the_file_and_their_secrets_are_not_in_it() {
     // Another id with this secret, a cut and a lengthened secret, other letters.
     let secret = ada.rsplit('_').next().unwrap();
     let id = farm.split('_').nth(1).unwrap();
-    for wrong in
-        [format!("slt_{id}_{secret}"), ada[..ada.len() - 1].to_owned(), format!("{ada}0"), ada.to_uppercase()]
-    {
+    for wrong in [
+        format!("slt_{id}_{secret}"),
+        ada[..ada.len() - 1].to_owned(),
+        format!("{ada}0"),
+        ada.to_uppercase(),
+    ] {
         assert!(read.find(&wrong).is_none(), "{wrong}");
     }
     assert!(read.revoke(ada.split('_').nth(1).unwrap()) && !read.revoke("00000000"));
     assert!(read.find(&ada).is_none() && read.find(&farm).is_some());
     for bad in ["", "a\nb", "\"", &"x".repeat(MAX_USER_BYTES + 1)] {
-        assert!(file.add(bad, &[Scope::Read], 1, [0; 36]).is_err(), "{bad:?}");
+        assert!(
+            file.add(bad, &[Scope::Read], 1, [0; 36]).is_err(),
+            "{bad:?}"
+        );
     }
     assert!(file.add("ada", &[], 1, [0; 36]).is_err());
     for bad in ["", "{}", "{\"tokens\":[{}]}", "[]"] {
         std::fs::write(&path, bad).unwrap();
-        assert!(matches!(TokenFile::read(&path), Err(TokenError::Form { .. })), "{bad}");
+        assert!(
+            matches!(TokenFile::read(&path), Err(TokenError::Form { .. })),
+            "{bad}"
+        );
     }
 }
 
@@ -70,8 +88,11 @@ fn each_scope_allows_its_calls_and_no_others() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("tokens.json");
     let mut file = TokenFile::default();
-    let texts: Vec<String> =
-        Scope::ALL.iter().enumerate().map(|(i, s)| token(&mut file, "x", &[*s], i as u8)).collect();
+    let texts: Vec<String> = Scope::ALL
+        .iter()
+        .enumerate()
+        .map(|(i, s)| token(&mut file, "x", &[*s], i as u8))
+        .collect();
     file.write(&path).unwrap();
     let access = Access::new(Some(path), true).unwrap();
     let calls = [
@@ -79,22 +100,40 @@ fn each_scope_allows_its_calls_and_no_others() {
         ("/sightline.v1.Jobs/Submit", [false, true, false, true]),
         ("/sightline.v1.Results/Why", [true, true, false, true]),
         ("/sightline.v1.Workers/Work", [false, false, true, true]),
-        ("/sightline.v1.Farm/ListWorkers", [false, false, false, true]),
-        ("/sightline.v1.Jobs/NotYetKnown", [false, false, false, true]),
+        (
+            "/sightline.v1.Farm/ListWorkers",
+            [false, false, false, true],
+        ),
+        (
+            "/sightline.v1.Jobs/NotYetKnown",
+            [false, false, false, true],
+        ),
         ("/nonsense", [false, false, false, true]),
         ("/grpc.health.v1.Health/Check", [true; 4]),
     ];
     for (path, may) in calls {
         for (text, may) in texts.iter().zip(may) {
             let caller = access.identify(Some(text), None).unwrap();
-            assert_eq!(access.permit(&caller, needed(path)).is_ok(), may, "{path}, {caller:?}");
+            assert_eq!(
+                access.permit(&caller, needed(path)).is_ok(),
+                may,
+                "{path}, {caller:?}"
+            );
         }
         let nobody = access.identify(None, None).unwrap();
-        assert_eq!(access.permit(&nobody, needed(path)).is_ok(), needed(path) == Need::Nothing, "{path}");
+        assert_eq!(
+            access.permit(&nobody, needed(path)).is_ok(),
+            needed(path) == Need::Nothing,
+            "{path}"
+        );
         // A certificate makes a worker and nothing else.
         let certified = access.identify(None, Some(b"certificate")).unwrap();
         let may = path.contains("v1.Workers") || needed(path) == Need::Nothing;
-        assert_eq!(access.permit(&certified, needed(path)).is_ok(), may, "{path}");
+        assert_eq!(
+            access.permit(&certified, needed(path)).is_ok(),
+            may,
+            "{path}"
+        );
     }
 }
 
@@ -106,14 +145,20 @@ fn without_tokens_only_workers_are_asked() {
     for path in ["/sightline.v1.Jobs/Submit", "/sightline.v1.Workers/Work"] {
         assert_eq!(open.permit(&nobody, needed(path)), Ok(()));
     }
-    assert_eq!(certified.permit(&nobody, needed("/sightline.v1.Jobs/Submit")), Ok(()));
+    assert_eq!(
+        certified.permit(&nobody, needed("/sightline.v1.Jobs/Submit")),
+        Ok(())
+    );
     let refused = certified.permit(&nobody, needed("/sightline.v1.Workers/Work"));
     assert!(matches!(refused, Err(Refusal::Unknown(_))));
 }
 
 #[test]
 fn owners_see_their_own_and_admins_all() {
-    let user = |name: &str, scope| Caller::User { name: name.to_owned(), scopes: Scopes::of(&[scope]) };
+    let user = |name: &str, scope| Caller::User {
+        name: name.to_owned(),
+        scopes: Scopes::of(&[scope]),
+    };
     let (ada, admin) = (user("ada", Scope::Submit), user("root", Scope::Admin));
     assert!(ada.sees("ada") && !ada.sees("bob") && !ada.sees(""));
     assert!(admin.sees("ada") && admin.sees(""));

@@ -92,18 +92,31 @@ impl TokenFile {
     /// # Errors
     /// [`TokenError::Read`] and [`TokenError::Form`].
     pub fn read(path: &Path) -> Result<Self, TokenError> {
-        let unread = |reason: String| TokenError::Read { path: path.to_owned(), reason };
-        let form = |reason: String| TokenError::Form { path: path.to_owned(), reason };
-        let size = std::fs::metadata(path).map_err(|e| unread(e.to_string()))?.len();
+        let unread = |reason: String| TokenError::Read {
+            path: path.to_owned(),
+            reason,
+        };
+        let form = |reason: String| TokenError::Form {
+            path: path.to_owned(),
+            reason,
+        };
+        let size = std::fs::metadata(path)
+            .map_err(|e| unread(e.to_string()))?
+            .len();
         if size > MAX_BYTES {
-            return Err(form(format!("it has {size} bytes; at most {MAX_BYTES} are read")));
+            return Err(form(format!(
+                "it has {size} bytes; at most {MAX_BYTES} are read"
+            )));
         }
         let text = std::fs::read(path).map_err(|e| unread(e.to_string()))?;
         let file: Self = serde_json::from_slice(&text).map_err(|e| form(e.to_string()))?;
         for token in &file.tokens {
             check_user(&token.user).map_err(&form)?;
             if !is_hex(&token.id, 8) || !is_hex(&token.digest, 64) {
-                return Err(form(format!("the token of {} has no proper id or digest", token.user)));
+                return Err(form(format!(
+                    "the token of {} has no proper id or digest",
+                    token.user
+                )));
             }
         }
         Ok(file)
@@ -121,8 +134,10 @@ impl TokenFile {
             file.write_all(b"\n")?;
             file.commit()
         };
-        write()
-            .map_err(|e: std::io::Error| TokenError::Write { path: path.to_owned(), reason: e.to_string() })
+        write().map_err(|e: std::io::Error| TokenError::Write {
+            path: path.to_owned(),
+            reason: e.to_string(),
+        })
     }
 
     /// Adds a token with these random bytes, and gives its text, which is nowhere else.
@@ -143,16 +158,26 @@ impl TokenFile {
             ));
         }
         if self.tokens.len() >= MAX_TOKENS {
-            return Err(TokenError::Refused(format!("the file has {MAX_TOKENS} tokens; revoke some first")));
+            return Err(TokenError::Refused(format!(
+                "the file has {MAX_TOKENS} tokens; revoke some first"
+            )));
         }
         let hex = |bytes: &[u8]| bytes.iter().map(|b| format!("{b:02x}")).collect::<String>();
         let (id, secret) = (hex(&random[..4]), hex(&random[4..]));
         if self.tokens.iter().any(|token| token.id == id) {
-            return Err(TokenError::Refused("the random id is taken already; try again".to_owned()));
+            return Err(TokenError::Refused(
+                "the random id is taken already; try again".to_owned(),
+            ));
         }
         let text = format!("slt_{id}_{secret}");
         let (user, scopes, digest) = (user.to_owned(), Scopes::of(scopes), digest_of(&secret));
-        self.tokens.push(Token { id, user, scopes, made_at_ms, digest });
+        self.tokens.push(Token {
+            id,
+            user,
+            scopes,
+            made_at_ms,
+            digest,
+        });
         Ok(text)
     }
 
@@ -190,11 +215,18 @@ impl TokenLock {
     /// # Errors
     /// [`TokenError::Write`] when the lock, a file beside it, cannot be made.
     pub fn take(path: &Path) -> Result<Self, TokenError> {
-        let failed = |e: std::io::Error| TokenError::Write { path: path.to_owned(), reason: e.to_string() };
+        let failed = |e: std::io::Error| TokenError::Write {
+            path: path.to_owned(),
+            reason: e.to_string(),
+        };
         let mut name = path.file_name().unwrap_or_default().to_owned();
         name.push(".lock");
         let mut options = std::fs::OpenOptions::new();
-        let file = options.create(true).truncate(false).write(true).open(path.with_file_name(name));
+        let file = options
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(path.with_file_name(name));
         let file = file.map_err(failed)?;
         file.lock().map_err(failed)?;
         Ok(Self(file))

@@ -79,22 +79,37 @@ pub(crate) struct Happening {
 impl Happening {
     /// An event of no job.
     pub(crate) fn of(kind: Kind, text: impl Into<String>) -> Self {
-        Self { kind, job: None, tile: None, worker: String::new(), text: text.into() }
+        Self {
+            kind,
+            job: None,
+            tile: None,
+            worker: String::new(),
+            text: text.into(),
+        }
     }
 
     /// An event of a job.
     pub(crate) fn of_job(kind: Kind, job: JobId, text: impl Into<String>) -> Self {
-        Self { job: Some(job), ..Self::of(kind, text) }
+        Self {
+            job: Some(job),
+            ..Self::of(kind, text)
+        }
     }
 
     /// An event of a leased tile.
     pub(crate) fn of_lease(kind: Kind, lease: &Lease, text: impl Into<String>) -> Self {
-        Self { tile: Some(lease.tile), ..Self::of_job(kind, lease.job, text) }
+        Self {
+            tile: Some(lease.tile),
+            ..Self::of_job(kind, lease.job, text)
+        }
     }
 
     /// The event as one about a worker.
     pub(crate) fn on(self, worker: impl Into<String>) -> Self {
-        Self { worker: worker.into(), ..self }
+        Self {
+            worker: worker.into(),
+            ..self
+        }
     }
 }
 
@@ -146,14 +161,23 @@ impl Chronicle {
             read(&directory.join(piece), &mut kept);
         }
         let grown = watch::Sender::new(kept.recent.last());
-        Self { kept: Mutex::new(kept), grown, directory: Some(directory), piece: Mutex::new(None) }
+        Self {
+            kept: Mutex::new(kept),
+            grown,
+            directory: Some(directory),
+            piece: Mutex::new(None),
+        }
     }
 
     /// Notes an event. Does not block on the disk.
     pub(crate) fn record(&self, at_ms: u64, mut what: Happening) {
         cut(&mut what.text);
         let mut kept = self.kept();
-        let entry = Entry { number: kept.recent.last() + 1, at_ms, what };
+        let entry = Entry {
+            number: kept.recent.last() + 1,
+            at_ms,
+            what,
+        };
         if self.directory.is_some() && kept.unwritten.len() < MOST_UNWRITTEN {
             // Texts and numbers can always be written as JSON.
             if let Ok(line) = serde_json::to_string(&entry) {
@@ -188,7 +212,9 @@ impl Chronicle {
 
     /// Appends to the file what is not in it yet.
     pub(crate) fn write(&self) {
-        let Some(directory) = &self.directory else { return };
+        let Some(directory) = &self.directory else {
+            return;
+        };
         let mut piece = self.piece.lock().unwrap_or_else(PoisonError::into_inner);
         let bytes = std::mem::take(&mut self.kept().unwritten);
         if bytes.is_empty() {
@@ -209,7 +235,9 @@ impl Chronicle {
 /// Cuts a text that is too long.
 fn cut(text: &mut String) {
     if text.len() > MOST_TEXT {
-        let end = (0..=MOST_TEXT).rev().find(|end| text.is_char_boundary(*end));
+        let end = (0..=MOST_TEXT)
+            .rev()
+            .find(|end| text.is_char_boundary(*end));
         text.truncate(end.unwrap_or(0));
         text.push('…');
     }
@@ -232,7 +260,10 @@ fn read(path: &Path, kept: &mut Kept) {
         }
     }
     if unread > 0 {
-        tracing::warn!("{}: {unread} lines are no events and are left out", path.display());
+        tracing::warn!(
+            "{}: {unread} lines are no events and are left out",
+            path.display()
+        );
     }
 }
 
@@ -241,7 +272,10 @@ fn append(directory: &Path, piece: &mut Option<File>, bytes: &[u8]) -> std::io::
     let [growing, before] = PIECES.map(|name| directory.join(name));
     if piece.is_none() {
         std::fs::create_dir_all(directory)?;
-        let mut file = OpenOptions::new().create(true).append(true).open(&growing)?;
+        let mut file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&growing)?;
         // Ends a line that a crash left unfinished.
         if file.metadata()?.len() > 0 {
             file.write_all(b"\n")?;
@@ -276,7 +310,10 @@ mod tests {
             let numbers: Vec<u64> = all.iter().map(|e| e.number).collect();
             assert_eq!(numbers, (1..=(run + 1) * 10).collect::<Vec<_>>());
             assert_eq!(last, (run + 1) * 10);
-            assert!(all.iter().all(|e| e.what.text == format!("event {}", e.number - 1)));
+            assert!(
+                all.iter()
+                    .all(|e| e.what.text == format!("event {}", e.number - 1))
+            );
         }
     }
 
@@ -294,8 +331,13 @@ mod tests {
         again.record(9, event(9));
         again.write();
         let third = Chronicle::of(directory.path().to_owned());
-        let texts =
-            |c: &Chronicle| c.after(None, 0, 99).0.iter().map(|e| e.what.text.clone()).collect::<Vec<_>>();
+        let texts = |c: &Chronicle| {
+            c.after(None, 0, 99)
+                .0
+                .iter()
+                .map(|e| e.what.text.clone())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(texts(&third), ["event 0", "event 1", "event 2", "event 9"]);
     }
 
@@ -329,8 +371,10 @@ mod tests {
             }
         }
         chronicle.write();
-        let bytes: u64 =
-            std::fs::read_dir(directory.path()).unwrap().map(|e| e.unwrap().metadata().unwrap().len()).sum();
+        let bytes: u64 = std::fs::read_dir(directory.path())
+            .unwrap()
+            .map(|e| e.unwrap().metadata().unwrap().len())
+            .sum();
         assert!(bytes < 2 * PIECE_BYTES + (2 << 20), "{bytes}");
         let again = Chronicle::of(directory.path().to_owned());
         assert_eq!(again.after(None, 0, usize::MAX).1, 40_000);

@@ -55,11 +55,18 @@ impl Recent {
                     full.starts.shrink_to_fit();
                     self.full += full.size();
                 }
-                let mut block = Block { first: entry.number, bytes: Vec::new(), starts: Vec::new() };
+                let mut block = Block {
+                    first: entry.number,
+                    bytes: Vec::new(),
+                    starts: Vec::new(),
+                };
                 block.push(entry);
                 self.blocks.push_back(block);
                 while self.full > MOST_BYTES {
-                    self.full -= self.blocks.pop_front().map_or(self.full, |block| block.size());
+                    self.full -= self
+                        .blocks
+                        .pop_front()
+                        .map_or(self.full, |block| block.size());
                 }
             }
         }
@@ -69,7 +76,9 @@ impl Recent {
     /// number up to which was looked.
     pub(super) fn after(&self, job: Option<JobId>, after: u64, most: usize) -> (Vec<Entry>, u64) {
         let mut found = Vec::new();
-        let begin = self.blocks.partition_point(|block| block.end() <= after.saturating_add(1));
+        let begin = self
+            .blocks
+            .partition_point(|block| block.end() <= after.saturating_add(1));
         for block in self.blocks.range(begin..) {
             let skip = after.saturating_add(1).saturating_sub(block.first) as usize;
             for at in skip..block.starts.len() {
@@ -87,7 +96,9 @@ impl Recent {
     /// The number after which a job has its last `most` events.
     pub(super) fn before_last(&self, job: JobId, most: usize) -> u64 {
         let numbers = self.blocks.iter().rev().flat_map(|block| {
-            let of_job = (0..block.starts.len()).rev().filter(move |at| block.job(*at) == Some(job));
+            let of_job = (0..block.starts.len())
+                .rev()
+                .filter(move |at| block.job(*at) == Some(job));
             of_job.map(|at| block.first + at as u64)
         });
         numbers.into_iter().nth(most).unwrap_or(0)
@@ -120,7 +131,10 @@ impl Block {
 
     fn bytes(&self, at: usize) -> Option<&[u8]> {
         let start = *self.starts.get(at)? as usize;
-        let end = self.starts.get(at + 1).map_or(self.bytes.len(), |end| *end as usize);
+        let end = self
+            .starts
+            .get(at + 1)
+            .map_or(self.bytes.len(), |end| *end as usize);
         self.bytes.get(start..end)
     }
 
@@ -137,8 +151,18 @@ impl Block {
         let length = varint::read(from, LONGEST).ok()?;
         let (worker, text) = from.split_at_checked(length as usize)?;
         let text_of = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        let what = Happening { kind, job, tile, worker: text_of(worker), text: text_of(text) };
-        Some(Entry { number: self.first + at as u64, at_ms, what })
+        let what = Happening {
+            kind,
+            job,
+            tile,
+            worker: text_of(worker),
+            text: text_of(text),
+        };
+        Some(Entry {
+            number: self.first + at as u64,
+            at_ms,
+            what,
+        })
     }
 }
 
@@ -164,16 +188,37 @@ mod tests {
 
     fn entry(number: u64) -> Entry {
         let job = (!number.is_multiple_of(7)).then_some(JobId(number % 5));
-        let tile = number.is_multiple_of(3).then_some(TileIndex(u32::MAX - number as u32));
+        let tile = number
+            .is_multiple_of(3)
+            .then_some(TileIndex(u32::MAX - number as u32));
         let kind = Kind::ALL[number as usize % Kind::ALL.len()];
-        let worker = if number.is_multiple_of(2) { String::new() } else { format!("ä-{number}") };
-        let what = Happening { kind, job, tile, worker, text: format!("event «{number}»") };
-        Entry { number, at_ms: 1_800_000_000_000 + number, what }
+        let worker = if number.is_multiple_of(2) {
+            String::new()
+        } else {
+            format!("ä-{number}")
+        };
+        let what = Happening {
+            kind,
+            job,
+            tile,
+            worker,
+            text: format!("event «{number}»"),
+        };
+        Entry {
+            number,
+            at_ms: 1_800_000_000_000 + number,
+            what,
+        }
     }
 
     #[test]
     fn kinds_are_found_by_their_number() {
-        assert!(Kind::ALL.iter().enumerate().all(|(at, kind)| *kind as usize == at));
+        assert!(
+            Kind::ALL
+                .iter()
+                .enumerate()
+                .all(|(at, kind)| *kind as usize == at)
+        );
     }
 
     #[test]
@@ -184,15 +229,26 @@ mod tests {
         assert!(recent.blocks.len() > 3);
         assert_eq!(recent.after(None, 0, usize::MAX), (all.clone(), 20_000));
         for after in (0..20_010u64).step_by(7).chain([u64::MAX]) {
-            let rest = all.iter().filter(|e| e.number > after).take(3).cloned().collect::<Vec<_>>();
+            let rest = all
+                .iter()
+                .filter(|e| e.number > after)
+                .take(3)
+                .cloned()
+                .collect::<Vec<_>>();
             assert_eq!(recent.after(None, after, 3).0, rest, "{after}");
         }
-        let of_job: Vec<u64> =
-            all.iter().filter(|e| e.what.job == Some(JobId(2))).map(|e| e.number).collect();
+        let of_job: Vec<u64> = all
+            .iter()
+            .filter(|e| e.what.job == Some(JobId(2)))
+            .map(|e| e.number)
+            .collect();
         for most in [0, 1, 100, of_job.len() - 1] {
             let before = recent.before_last(JobId(2), most);
             assert_eq!(before, of_job[of_job.len() - 1 - most]);
-            assert_eq!(recent.after(Some(JobId(2)), before, usize::MAX).0.len(), most);
+            assert_eq!(
+                recent.after(Some(JobId(2)), before, usize::MAX).0.len(),
+                most
+            );
         }
         assert_eq!(recent.before_last(JobId(2), of_job.len()), 0);
     }
@@ -203,18 +259,32 @@ mod tests {
         for number in 1..=500_000 {
             recent.push(&entry(number));
         }
-        let held: usize = recent.blocks.iter().map(|b| b.bytes.capacity() + 4 * b.starts.capacity()).sum();
-        assert!((MOST_BYTES..MOST_BYTES + 4 * BLOCK_BYTES).contains(&held), "{held}");
+        let held: usize = recent
+            .blocks
+            .iter()
+            .map(|b| b.bytes.capacity() + 4 * b.starts.capacity())
+            .sum();
+        assert!(
+            (MOST_BYTES..MOST_BYTES + 4 * BLOCK_BYTES).contains(&held),
+            "{held}"
+        );
         let (kept, last) = recent.after(None, 0, usize::MAX);
         assert_eq!(last, 500_000);
         let first = 500_001 - kept.len() as u64;
-        assert!(kept.len() > 100_000 && kept.iter().map(|e| e.number).eq(first..=500_000), "{}", kept.len());
+        assert!(
+            kept.len() > 100_000 && kept.iter().map(|e| e.number).eq(first..=500_000),
+            "{}",
+            kept.len()
+        );
     }
 
     #[test]
     fn events_behind_a_gap_are_the_only_ones() {
         let mut recent = Recent::default();
-        [1, 2, 5, 6].map(entry).iter().for_each(|entry| recent.push(entry));
+        [1, 2, 5, 6]
+            .map(entry)
+            .iter()
+            .for_each(|entry| recent.push(entry));
         assert_eq!(recent.after(None, 0, 9), (vec![entry(5), entry(6)], 6));
     }
 }

@@ -54,7 +54,10 @@ impl Default for Budget {
 impl Budget {
     /// Creates a budget of `most` bytes.
     pub(crate) fn new(most: u64) -> Self {
-        Self { most, held: Arc::default() }
+        Self {
+            most,
+            held: Arc::default(),
+        }
     }
 
     /// Reserves the bytes that an upload announces.
@@ -66,7 +69,11 @@ impl Budget {
         let mut held = lock(&self.held);
         let below = |most: u64, before: u64, who: &'static str| {
             let wanted = before.saturating_add(bytes);
-            if wanted > most { Err(Beyond::Unfinished { who, most, wanted }) } else { Ok(wanted) }
+            if wanted > most {
+                Err(Beyond::Unfinished { who, most, wanted })
+            } else {
+                Ok(wanted)
+            }
         };
         let user = match sender {
             Sender::Worker => None,
@@ -88,7 +95,11 @@ impl Budget {
         if let Some(name) = &user {
             *held.of.entry(name.clone()).or_default() += bytes;
         }
-        Ok(Reserved { user, bytes, held: Arc::clone(&self.held) })
+        Ok(Reserved {
+            user,
+            bytes,
+            held: Arc::clone(&self.held),
+        })
     }
 
     /// Returns the bytes of all unfinished uploads.
@@ -138,13 +149,18 @@ mod tests {
         let ada = budget.reserve(User("ada"), 60).unwrap();
         assert_eq!(refused(User("ada"), 41), ("a user", 100, 101));
         assert_eq!(refused(User("ada"), u64::MAX), ("a user", 100, u64::MAX));
-        let others: Vec<_> = ["b", "c", "d"].map(|name| budget.reserve(User(name), 100).unwrap()).into();
+        let others: Vec<_> = ["b", "c", "d"]
+            .map(|name| budget.reserve(User(name), 100).unwrap())
+            .into();
         assert_eq!(refused(User("eve"), 41), ("all users", 400, 401));
         assert_eq!(refused(User(""), 41), ("all users", 400, 401));
         // Users leave a part to workers.
         let workers = budget.reserve(Worker, 440).unwrap();
         assert_eq!(refused(Worker, 1), ("all users and workers", 800, 801));
-        assert_eq!((budget.of("ada"), budget.of("b"), budget.of("eve")), (60, 100, 0));
+        assert_eq!(
+            (budget.of("ada"), budget.of("b"), budget.of("eve")),
+            (60, 100, 0)
+        );
         drop((ada, workers, others));
         {
             let held = lock(&budget.held);

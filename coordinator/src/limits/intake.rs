@@ -58,11 +58,17 @@ impl Intake {
         }
         // One request can have all the room and no more, so that it comes to its end.
         let most = if user.is_empty() { ALL } else { OF_USER };
-        let permits = usize::try_from(bytes.div_ceil(1024)).unwrap_or(usize::MAX).min(most) as u32;
+        let permits = usize::try_from(bytes.div_ceil(1024))
+            .unwrap_or(usize::MAX)
+            .min(most) as u32;
         let mut room = Vec::new();
         if !user.is_empty() {
             room.push(self.of_user(user).acquire_many_owned(permits).await?);
-            room.push(Arc::clone(&self.of_all_users).acquire_many_owned(permits).await?);
+            room.push(
+                Arc::clone(&self.of_all_users)
+                    .acquire_many_owned(permits)
+                    .await?,
+            );
         }
         room.push(Arc::clone(&self.all).acquire_many_owned(permits).await?);
         Ok(Room(room))
@@ -73,7 +79,9 @@ impl Intake {
         let mut users = self.of_users.lock().unwrap_or_else(PoisonError::into_inner);
         // Users without a request are forgotten.
         users.retain(|_, own| Arc::strong_count(own) > 1);
-        let own = users.entry(user.to_owned()).or_insert_with(|| Arc::new(Semaphore::new(OF_USER)));
+        let own = users
+            .entry(user.to_owned())
+            .or_insert_with(|| Arc::new(Semaphore::new(OF_USER)));
         Arc::clone(own)
     }
 }
@@ -87,8 +95,12 @@ mod tests {
     #[test]
     fn requests_wait_for_room_of_their_user_and_of_all() {
         let intake = Intake::default();
-        let room =
-            |user: &str, kib: usize| intake.room(user, kib as u64 * 1024).now_or_never().map(Result::unwrap);
+        let room = |user: &str, kib: usize| {
+            intake
+                .room(user, kib as u64 * 1024)
+                .now_or_never()
+                .map(Result::unwrap)
+        };
         let ada = room("ada", OF_USER).unwrap();
         assert!(room("ada", 1).is_none() && room("ada", 0).is_some());
         // A request that is larger than the room has all of it.
@@ -106,6 +118,12 @@ mod tests {
         let rest = room("bob", OF_USER - 1).unwrap();
         assert!(room("bob", 1).is_none());
         drop((shrunk, rest));
-        assert_eq!((intake.all.available_permits(), intake.of_users.lock().unwrap().len()), (ALL, 1));
+        assert_eq!(
+            (
+                intake.all.available_permits(),
+                intake.of_users.lock().unwrap().len()
+            ),
+            (ALL, 1)
+        );
     }
 }

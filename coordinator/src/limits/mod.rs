@@ -21,7 +21,9 @@ pub(crate) use self::usage::{Usage, usage};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Beyond {
     /// A quota.
-    #[error("{user} may have {most} {what}, and would have {wanted}; delete some, or ask an admin for more")]
+    #[error(
+        "{user} may have {most} {what}, and would have {wanted}; delete some, or ask an admin for more"
+    )]
     Quota {
         /// Whose it is.
         user: String,
@@ -54,7 +56,9 @@ pub enum Beyond {
         most: u32,
     },
     /// Too many questions that wait.
-    #[error("{user} may have {most} questions wait at a time; wait for some of the answers, and ask again")]
+    #[error(
+        "{user} may have {most} questions wait at a time; wait for some of the answers, and ask again"
+    )]
     Waiting {
         /// The user.
         user: String,

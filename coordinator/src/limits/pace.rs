@@ -55,10 +55,18 @@ impl Pace {
     ///
     /// # Errors
     /// [`Beyond`] when there are too many.
-    pub(crate) fn begin(&self, user: &str, quota: Option<&Quota>, now: Instant) -> Result<Permit, Beyond> {
+    pub(crate) fn begin(
+        &self,
+        user: &str,
+        quota: Option<&Quota>,
+        now: Instant,
+    ) -> Result<Permit, Beyond> {
         let mut calls = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if calls.all >= MOST_CALLS {
-            return Err(Beyond::Calls { who: "all together".to_owned(), most: MOST_CALLS });
+            return Err(Beyond::Calls {
+                who: "all together".to_owned(),
+                most: MOST_CALLS,
+            });
         }
         if let Some(quota) = quota {
             calls.count(user, quota, now)?;
@@ -66,7 +74,10 @@ impl Pace {
         calls.all += 1;
         // Without a quota nothing is kept of the user.
         let user = quota.map(|_| user.to_owned());
-        Ok(Permit { of: Arc::clone(&self.0), user })
+        Ok(Permit {
+            of: Arc::clone(&self.0),
+            user,
+        })
     }
 }
 
@@ -76,16 +87,26 @@ impl Calls {
             self.of.retain(|_, account| account.open > 0);
         }
         let most = f64::from(quota.requests.unwrap_or(0)) * SAVED;
-        let account = self.of.entry(user.to_owned()).or_insert(Account { open: 0, left: most, at: now });
+        let account = self.of.entry(user.to_owned()).or_insert(Account {
+            open: 0,
+            left: most,
+            at: now,
+        });
         if let Some(rate) = quota.requests {
             let saved = now.saturating_duration_since(account.at).as_secs_f64() * f64::from(rate);
             (account.left, account.at) = ((account.left + saved).min(most), now);
             if account.left < 1.0 {
-                return Err(Beyond::Rate { user: user.to_owned(), most: rate });
+                return Err(Beyond::Rate {
+                    user: user.to_owned(),
+                    most: rate,
+                });
             }
         }
         if let Some(most) = quota.calls.filter(|most| account.open >= *most) {
-            return Err(Beyond::Calls { who: user.to_owned(), most });
+            return Err(Beyond::Calls {
+                who: user.to_owned(),
+                most,
+            });
         }
         account.left -= 1.0;
         account.open += 1;
@@ -102,12 +123,22 @@ mod tests {
     #[test]
     fn a_user_who_calls_too_often_waits_and_others_do_not() {
         let (pace, now) = (Pace::default(), Instant::now());
-        let quota = Quota { requests: Some(10), calls: None, ..Quota::default() };
+        let quota = Quota {
+            requests: Some(10),
+            calls: None,
+            ..Quota::default()
+        };
         let call = |user, at| pace.begin(user, Some(&quota), at).map(drop);
         for _ in 0..50 {
             call("ada", now).unwrap();
         }
-        assert_eq!(call("ada", now), Err(Beyond::Rate { user: "ada".to_owned(), most: 10 }));
+        assert_eq!(
+            call("ada", now),
+            Err(Beyond::Rate {
+                user: "ada".to_owned(),
+                most: 10
+            })
+        );
         call("bob", now).unwrap();
         call("ada", now + Duration::from_millis(100)).unwrap();
         assert!(call("ada", now + Duration::from_millis(100)).is_err());
@@ -116,7 +147,11 @@ mod tests {
     #[test]
     fn open_calls_are_counted_until_they_end() {
         let (pace, now) = (Pace::default(), Instant::now());
-        let quota = Quota { requests: None, calls: Some(2), ..Quota::default() };
+        let quota = Quota {
+            requests: None,
+            calls: Some(2),
+            ..Quota::default()
+        };
         let one = pace.begin("ada", Some(&quota), now).unwrap();
         let _two = pace.begin("ada", Some(&quota), now).unwrap();
         assert!(pace.begin("ada", Some(&quota), now).is_err());
@@ -127,7 +162,9 @@ mod tests {
     #[test]
     fn a_million_watchers_are_refused_before_they_cost_anything() {
         let (pace, now) = (Pace::default(), Instant::now());
-        let open: Vec<_> = (0..1_000_000).map_while(|_| pace.begin("", None, now).ok()).collect();
+        let open: Vec<_> = (0..1_000_000)
+            .map_while(|_| pace.begin("", None, now).ok())
+            .collect();
         assert_eq!(open.len(), MOST_CALLS as usize);
         drop(open);
         assert!(pace.begin("", None, now).is_ok());
@@ -145,7 +182,10 @@ mod tests {
     fn users_without_calls_are_forgotten_in_the_end() {
         let (pace, now) = (Pace::default(), Instant::now());
         for n in 0..3 * MOST_USERS {
-            drop(pace.begin(&format!("user {n}"), Some(&Quota::default()), now).unwrap());
+            drop(
+                pace.begin(&format!("user {n}"), Some(&Quota::default()), now)
+                    .unwrap(),
+            );
         }
         assert!(pace.0.lock().unwrap().of.len() <= MOST_USERS);
     }

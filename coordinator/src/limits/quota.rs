@@ -26,7 +26,14 @@ pub struct Quota {
 impl Default for Quota {
     fn default() -> Self {
         let (requests, calls) = (Some(CALLS_A_SECOND), Some(CALLS_AT_ONCE));
-        Self { bytes: None, scenes: None, jobs: None, tiles: None, requests, calls }
+        Self {
+            bytes: None,
+            scenes: None,
+            jobs: None,
+            tiles: None,
+            requests,
+            calls,
+        }
     }
 }
 
@@ -60,14 +67,19 @@ impl Quotas {
             Some((user, rest)) => (Some(user.to_owned()), rest.to_owned()),
             None => (None, text.clone()),
         };
-        let (own, all): (Vec<_>, Vec<_>) = texts.iter().map(split).partition(|(user, _)| user.is_some());
+        let (own, all): (Vec<_>, Vec<_>) = texts
+            .iter()
+            .map(split)
+            .partition(|(user, _)| user.is_some());
         for (_, text) in all {
             quotas.everybody = changed(quotas.everybody, &text)?;
         }
         for (user, text) in own {
             let user = user.unwrap_or_default();
             if user.is_empty() {
-                return Err(QuotaError { part: format!(":{text}") });
+                return Err(QuotaError {
+                    part: format!(":{text}"),
+                });
             }
             let quota = quotas.of(&user);
             quotas.of.insert(user, changed(quota, &text)?);
@@ -84,7 +96,9 @@ impl Quotas {
 /// A quota with the changes of a text.
 fn changed(mut quota: Quota, text: &str) -> Result<Quota, QuotaError> {
     for part in text.split(',') {
-        let wrong = || QuotaError { part: part.to_owned() };
+        let wrong = || QuotaError {
+            part: part.to_owned(),
+        };
         let (name, value) = part.split_once('=').ok_or_else(wrong)?;
         let number = match value {
             "none" => None,
@@ -114,10 +128,17 @@ pub fn bytes(text: &str) -> Result<u64, String> {
 
 /// A number; of bytes with K, M, G or T for powers of 1024.
 fn number(text: &str, bytes: bool) -> Option<u64> {
-    let shift =
-        |letter| ["K", "M", "G", "T"].iter().position(|l| *l == letter).map(|at| 10 * (at as u32 + 1));
+    let shift = |letter| {
+        ["K", "M", "G", "T"]
+            .iter()
+            .position(|l| *l == letter)
+            .map(|at| 10 * (at as u32 + 1))
+    };
     let cut = text.char_indices().last().map(|(at, _)| text.split_at(at));
-    match cut.and_then(|(digits, letter)| Some((digits, shift(letter)?))).filter(|_| bytes) {
+    match cut
+        .and_then(|(digits, letter)| Some((digits, shift(letter)?)))
+        .filter(|_| bytes)
+    {
         Some((digits, shift)) => digits.parse::<u64>().ok()?.checked_mul(1 << shift),
         None => text.parse().ok(),
     }
@@ -128,23 +149,34 @@ mod tests {
     use super::*;
 
     fn parse(texts: &[&str]) -> Result<Quotas, QuotaError> {
-        Quotas::parse(&texts.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>())
+        Quotas::parse(
+            &texts
+                .iter()
+                .map(|text| (*text).to_owned())
+                .collect::<Vec<_>>(),
+        )
     }
 
     #[test]
     fn quotas_are_read_and_a_user_s_own_comes_first() {
         let quotas = parse(&["ada:bytes=1T", "bytes=3G,jobs=7", "requests=none"]).unwrap();
         let (bob, ada) = (quotas.of("bob"), quotas.of("ada"));
-        assert_eq!((bob.bytes, bob.jobs, bob.requests), (Some(3 << 30), Some(7), None));
-        assert_eq!((ada.bytes, ada.jobs, ada.calls), (Some(1 << 40), Some(7), Some(CALLS_AT_ONCE)));
+        assert_eq!(
+            (bob.bytes, bob.jobs, bob.requests),
+            (Some(3 << 30), Some(7), None)
+        );
+        assert_eq!(
+            (ada.bytes, ada.jobs, ada.calls),
+            (Some(1 << 40), Some(7), Some(CALLS_AT_ONCE))
+        );
         assert_eq!(Quotas::default().of("eve"), Quota::default());
     }
 
     #[test]
     fn what_is_no_quota_is_refused() {
         for bad in [
-            "", "bytes", "bytes=", "bytes=-1", "bytes=1X", "jobs=1K", "jobs=1,", ":jobs=1", "bytes=é",
-            "beer=1",
+            "", "bytes", "bytes=", "bytes=-1", "bytes=1X", "jobs=1K", "jobs=1,", ":jobs=1",
+            "bytes=é", "beer=1",
         ] {
             assert!(parse(&[bad]).is_err(), "{bad:?}");
         }

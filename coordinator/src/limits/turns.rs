@@ -33,14 +33,20 @@ pub(crate) struct Turn(Option<Turns>);
 
 impl Default for Turns {
     fn default() -> Self {
-        Self { queue: Arc::default(), most_waiting: MAX_WAITING }
+        Self {
+            queue: Arc::default(),
+            most_waiting: MAX_WAITING,
+        }
     }
 }
 
 impl Turns {
     /// Creates a queue for requests whose number others bound.
     pub(crate) fn of_bounded_requests() -> Self {
-        Self { queue: Arc::default(), most_waiting: usize::MAX }
+        Self {
+            queue: Arc::default(),
+            most_waiting: usize::MAX,
+        }
     }
 
     /// Waits for the turn of a user. A request that is no longer wanted leaves the queue.
@@ -71,14 +77,19 @@ impl Turns {
     }
 
     fn beyond(&self, user: &str) -> Beyond {
-        Beyond::Waiting { user: user.to_owned(), most: u32::try_from(self.most_waiting).unwrap_or(u32::MAX) }
+        Beyond::Waiting {
+            user: user.to_owned(),
+            most: u32::try_from(self.most_waiting).unwrap_or(u32::MAX),
+        }
     }
 
     /// Removes the next request from the queue, which is free without one.
     fn next(&self) -> Option<oneshot::Sender<Turn>> {
         let mut queue = self.queue();
         while let Some(user) = queue.users.pop_front() {
-            let Some(own) = queue.waiting.get_mut(&user) else { continue };
+            let Some(own) = queue.waiting.get_mut(&user) else {
+                continue;
+            };
             let next = own.pop_front();
             if own.is_empty() {
                 queue.waiting.remove(&user);
@@ -143,7 +154,10 @@ mod tests {
         let mut order = Vec::new();
         for _ in names {
             drop(turn);
-            let mut came = queue.iter_mut().enumerate().filter_map(|(at, w)| Some((at, come(w)?)));
+            let mut came = queue
+                .iter_mut()
+                .enumerate()
+                .filter_map(|(at, w)| Some((at, come(w)?)));
             let (at, next) = came.next().unwrap();
             assert!(came.next().is_none());
             drop(came);
@@ -163,7 +177,10 @@ mod tests {
         let turn = turns.take("eve").now_or_never().unwrap().unwrap();
         let gone: Vec<Waiting<'_>> = (0..MAX_WAITING).map(|_| wait(&turns, "eve")).collect();
         // Requests that have gone do not count for the bound of a user.
-        assert!(matches!(turns.take("eve").now_or_never(), Some(Err(Beyond::Waiting { .. }))));
+        assert!(matches!(
+            turns.take("eve").now_or_never(),
+            Some(Err(Beyond::Waiting { .. }))
+        ));
         let mut ada = wait(&turns, "ada");
         drop(gone);
         let mut eve = wait(&turns, "eve");
@@ -175,6 +192,11 @@ mod tests {
         drop(first);
         drop((eve, ada));
         drop(granted);
-        assert!(turns.take("root").now_or_never().is_some_and(|turn| turn.is_ok()));
+        assert!(
+            turns
+                .take("root")
+                .now_or_never()
+                .is_some_and(|turn| turn.is_ok())
+        );
     }
 }

@@ -16,7 +16,11 @@ pub(crate) struct Usage {
 /// What a user has by the records; chunks that are no scene yet are not among them.
 pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> {
     let mut usage = Usage::default();
-    for scene in store.scenes()?.into_iter().filter(|scene| scene.owners.contains(user)) {
+    for scene in store
+        .scenes()?
+        .into_iter()
+        .filter(|scene| scene.owners.contains(user))
+    {
         usage.scenes += 1;
         usage.bytes = usage.bytes.saturating_add(scene.bytes);
     }
@@ -27,7 +31,8 @@ pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> 
             usage.bytes = usage.bytes.saturating_add(bytes);
         }
         // Of several jobs with the same receivers each counts them.
-        let receivers = specs::receivers(&job.spec).map_or(0, |ambient| ambient.bytes.unwrap_or_default());
+        let receivers =
+            specs::receivers(&job.spec).map_or(0, |ambient| ambient.bytes.unwrap_or_default());
         usage.bytes = usage.bytes.saturating_add(receivers);
     }
     Ok(usage)
@@ -57,7 +62,12 @@ impl Usage {
         ];
         for (what, wanted, most) in of {
             if let Some(most) = most.filter(|most| wanted > *most) {
-                return Err(Beyond::Quota { user: user.to_owned(), what, most, wanted });
+                return Err(Beyond::Quota {
+                    user: user.to_owned(),
+                    what,
+                    most,
+                    wanted,
+                });
             }
         }
         Ok(())

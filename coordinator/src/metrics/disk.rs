@@ -10,10 +10,17 @@ pub(crate) fn free_bytes(path: &Path) -> Option<u64> {
 
 /// Bytes of a file, or of all files below a directory. Files that go meanwhile are not counted.
 pub(super) fn bytes_below(path: &Path) -> u64 {
-    let Ok(meta) = std::fs::symlink_metadata(path) else { return 0 };
+    let Ok(meta) = std::fs::symlink_metadata(path) else {
+        return 0;
+    };
     if !meta.is_dir() {
         return meta.len();
     }
-    let Ok(entries) = std::fs::read_dir(path) else { return 0 };
-    entries.flatten().map(|entry| bytes_below(&entry.path())).fold(0, u64::saturating_add)
+    let Ok(entries) = std::fs::read_dir(path) else {
+        return 0;
+    };
+    entries
+        .flatten()
+        .map(|entry| bytes_below(&entry.path()))
+        .fold(0, u64::saturating_add)
 }

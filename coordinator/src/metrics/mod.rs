@@ -80,13 +80,21 @@ pub(crate) enum Cache {
 fn lead(registry: &mut Registry, is: i64) {
     let leader: Gauge = Gauge::default();
     leader.set(is);
-    registry.register("leader", "1 if this coordinator grants tiles, 0 if it stands by", leader);
+    registry.register(
+        "leader",
+        "1 if this coordinator grants tiles, 0 if it stands by",
+        leader,
+    );
 }
 
 /// The metrics of a coordinator that stands by.
 pub(crate) fn standing_by() -> Result<String, std::fmt::Error> {
     let mut registry = Registry::with_prefix("sightline");
-    registry.register("build", "The program", Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]));
+    registry.register(
+        "build",
+        "The program",
+        Info::new(vec![("version", env!("CARGO_PKG_VERSION"))]),
+    );
     lead(&mut registry, 0);
     let ready: Gauge = Gauge::default();
     ready.set(1);
@@ -134,31 +142,72 @@ impl Default for Metrics {
             seconds(),
             this.tile_seconds.clone(),
         );
-        r.register("samples", "Lines and cubes of committed tiles", this.samples.clone());
-        r.register("jobs_ended", "Jobs that have ended, by how", this.jobs_ended.clone());
+        r.register(
+            "samples",
+            "Lines and cubes of committed tiles",
+            this.samples.clone(),
+        );
+        r.register(
+            "jobs_ended",
+            "Jobs that have ended, by how",
+            this.jobs_ended.clone(),
+        );
         let help = "Bytes of the bodies of gRPC calls";
         r.register_with_unit("transferred", help, Unit::Bytes, this.transferred.clone());
-        r.register("cache_requests", "Looks into what is kept in memory", this.cache_requests.clone());
+        r.register(
+            "cache_requests",
+            "Looks into what is kept in memory",
+            this.cache_requests.clone(),
+        );
         let help = "Time from the arrival of a tile's output to its acknowledgement";
         r.register_with_unit("commit", help, seconds(), this.commit_seconds.clone());
-        let help = "Time of a durable write of the store, which commands that arrive together share";
+        let help =
+            "Time of a durable write of the store, which commands that arrive together share";
         r.register_with_unit("sync", help, seconds(), this.sync_seconds.clone());
-        r.register("tiles_set_aside", "Tiles that were given up", this.set_aside.clone());
-        r.register("tile_conflicts", "Outputs that differ from the one that stays", this.conflicts.clone());
+        r.register(
+            "tiles_set_aside",
+            "Tiles that were given up",
+            this.set_aside.clone(),
+        );
+        r.register(
+            "tile_conflicts",
+            "Outputs that differ from the one that stays",
+            this.conflicts.clone(),
+        );
         r.register(
             "worker_deaths",
             "Workers that ended without a word while they held a tile",
             this.deaths.clone(),
         );
-        r.register("leases_taken_back", "Leases that ended before their tile", this.taken_back.clone());
-        r.register("phases", "Phases of blocks that crews have finished", this.phases.clone());
+        r.register(
+            "leases_taken_back",
+            "Leases that ended before their tile",
+            this.taken_back.clone(),
+        );
+        r.register(
+            "phases",
+            "Phases of blocks that crews have finished",
+            this.phases.clone(),
+        );
         let help = "Time that the leader of a crew took over a phase";
         r.register_with_unit("phase", help, seconds(), this.phase_seconds.clone());
-        r.register("spot_checks", "Tiles that were computed again, by outcome", this.spot_checks.clone());
-        r.register("requests", "Calls that have ended, by their code", this.requests.clone());
+        r.register(
+            "spot_checks",
+            "Tiles that were computed again, by outcome",
+            this.spot_checks.clone(),
+        );
+        r.register(
+            "requests",
+            "Calls that have ended, by their code",
+            this.requests.clone(),
+        );
         let help = "Time of a call, of a stream until its end";
         r.register_with_unit("request", help, seconds(), this.request_seconds.clone());
-        r.register("refused", "What was refused because of a limit", this.refused.clone());
+        r.register(
+            "refused",
+            "What was refused because of a limit",
+            this.refused.clone(),
+        );
         let help = "Addresses of the store of the blobs that workers were given";
         r.register("direct_addresses", help, this.addresses.clone());
         let help = "Bytes of the blobs whose addresses were given, and of the outputs committed from there";
@@ -188,7 +237,9 @@ impl Metrics {
     pub(crate) fn committed(&self, profile: &str, samples: u64, millis: u64) {
         let labels = [("profile", profile.to_owned())];
         self.samples.get_or_create(&labels).inc_by(samples);
-        self.tile_seconds.get_or_create(&labels).observe(millis as f64 / 1000.0);
+        self.tile_seconds
+            .get_or_create(&labels)
+            .observe(millis as f64 / 1000.0);
     }
 
     /// A commit took this long.
@@ -204,12 +255,15 @@ impl Metrics {
 
     /// A job has ended.
     pub(crate) fn job_ended(&self, how: &str) {
-        self.jobs_ended.get_or_create(&[("state", how.to_owned())]).inc();
+        self.jobs_ended
+            .get_or_create(&[("state", how.to_owned())])
+            .inc();
     }
 
     /// Where bytes of one direction, `in` or `out`, are counted.
     pub(crate) fn transferred(&self, direction: &str) -> Counter {
-        self.transferred.get_or_create_owned(&[("direction", direction.to_owned())])
+        self.transferred
+            .get_or_create_owned(&[("direction", direction.to_owned())])
     }
 
     /// Somebody has looked into a cache.
@@ -247,39 +301,55 @@ impl Metrics {
     pub(crate) fn phase_done(&self, profile: &str, time: Duration) {
         self.phases.inc();
         if !time.is_zero() {
-            let of_profile = self.phase_seconds.get_or_create_owned(&[("profile", profile.to_owned())]);
+            let of_profile = self
+                .phase_seconds
+                .get_or_create_owned(&[("profile", profile.to_owned())]);
             of_profile.observe(time.as_secs_f64());
         }
     }
 
     /// A tile was computed again.
     pub(crate) fn spot_check(&self, outcome: &'static str) {
-        self.spot_checks.get_or_create(&[("outcome", outcome.to_owned())]).inc();
+        self.spot_checks
+            .get_or_create(&[("outcome", outcome.to_owned())])
+            .inc();
     }
 
     /// A call has ended.
     pub(crate) fn request(&self, method: &str, code: &str, time: Duration) {
-        self.requests.get_or_create(&[("method", method.to_owned()), ("code", code.to_owned())]).inc();
-        self.request_seconds.get_or_create(&[("method", method.to_owned())]).observe(time.as_secs_f64());
+        self.requests
+            .get_or_create(&[("method", method.to_owned()), ("code", code.to_owned())])
+            .inc();
+        self.request_seconds
+            .get_or_create(&[("method", method.to_owned())])
+            .observe(time.as_secs_f64());
     }
 
     /// A worker was given an address, to `read` or to `write` there.
     pub(crate) fn addressed(&self, operation: &'static str) {
-        self.addresses.get_or_create(&[("operation", operation.to_owned())]).inc();
+        self.addresses
+            .get_or_create(&[("operation", operation.to_owned())])
+            .inc();
     }
 
     /// So many bytes are between a worker and the store of the blobs.
     pub(crate) fn went_directly(&self, operation: &'static str, bytes: u64) {
-        self.direct_bytes.get_or_create(&[("operation", operation.to_owned())]).inc_by(bytes);
+        self.direct_bytes
+            .get_or_create(&[("operation", operation.to_owned())])
+            .inc_by(bytes);
     }
 
     /// A worker could not use an address.
     pub(crate) fn fell_back(&self, operation: &'static str) {
-        self.fallbacks.get_or_create(&[("operation", operation.to_owned())]).inc();
+        self.fallbacks
+            .get_or_create(&[("operation", operation.to_owned())])
+            .inc();
     }
 
     /// Something was refused because of a limit.
     pub(crate) fn refused(&self, limit: &'static str) {
-        self.refused.get_or_create(&[("limit", limit.to_owned())]).inc();
+        self.refused
+            .get_or_create(&[("limit", limit.to_owned())])
+            .inc();
     }
 }

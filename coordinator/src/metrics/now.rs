@@ -63,10 +63,19 @@ impl Gauges {
             sized: Mutex::new(None),
         };
         r.register("ready", "1 if /readyz says so", this.ready.clone());
-        r.register("jobs", "Jobs that have not ended, by state", this.jobs.clone());
-        let help = "Open tiles: ready to be leased, leased, or waiting for others, a pause or a profile";
+        r.register(
+            "jobs",
+            "Jobs that have not ended, by state",
+            this.jobs.clone(),
+        );
+        let help =
+            "Open tiles: ready to be leased, leased, or waiting for others, a pause or a profile";
         r.register("tiles", help, this.tiles.clone());
-        r.register("workers", "Connected workers, each under all its profiles", this.workers.clone());
+        r.register(
+            "workers",
+            "Connected workers, each under all its profiles",
+            this.workers.clone(),
+        );
         let help = "Workers that get no tiles because their outputs were wrong";
         r.register("quarantined_workers", help, this.quarantined.clone());
         let help = "Lines and cubes of committed tiles of a worker since it connected";
@@ -92,13 +101,17 @@ impl Gauges {
             for profile in member.profiles {
                 self.workers.get_or_create(&[("profile", profile)]).inc();
             }
-            let samples = self.worker_samples.get_or_create_owned(&[("worker", member.name)]);
+            let samples = self
+                .worker_samples
+                .get_or_create_owned(&[("worker", member.name)]);
             samples.inc_by(member.done.samples);
         }
         self.carried.clear();
         if let Some(Carried { read, written }) = moment.carried {
             for (direction, bytes) in [("in", read), ("out", written)] {
-                self.carried.get_or_create_owned(&[("direction", direction.to_owned())]).inc_by(bytes);
+                self.carried
+                    .get_or_create_owned(&[("direction", direction.to_owned())])
+                    .inc_by(bytes);
             }
         }
         if let Some(place) = &moment.data_dir {
@@ -114,16 +127,24 @@ impl Gauges {
         let mut tiles: BTreeMap<(String, &str), i64> = BTreeMap::new();
         for job in jobs {
             *states.entry(job.state).or_default() += 1;
-            for (state, count) in [("ready", job.ready), ("leased", job.leased), ("waiting", job.waiting)] {
+            for (state, count) in [
+                ("ready", job.ready),
+                ("leased", job.leased),
+                ("waiting", job.waiting),
+            ] {
                 *tiles.entry((job.profile.clone(), state)).or_default() += i64::from(count);
             }
         }
         for (state, count) in states {
-            self.jobs.get_or_create(&[("state", state.to_owned())]).set(count);
+            self.jobs
+                .get_or_create(&[("state", state.to_owned())])
+                .set(count);
         }
         self.tiles.clear();
         for ((profile, state), count) in tiles {
-            self.tiles.get_or_create(&[("state", state.to_owned()), ("profile", profile)]).set(count);
+            self.tiles
+                .get_or_create(&[("state", state.to_owned()), ("profile", profile)])
+                .set(count);
         }
     }
 
@@ -132,11 +153,17 @@ impl Gauges {
         if sized.is_some_and(|at| at.elapsed() < SIZES_EVERY) {
             return;
         }
-        let parts =
-            [("journal", "state/journal"), ("view", "state/sled"), ("blobs", "blobs"), ("crews", "crews")];
+        let parts = [
+            ("journal", "state/journal"),
+            ("view", "state/sled"),
+            ("blobs", "blobs"),
+            ("crews", "crews"),
+        ];
         for (part, path) in parts {
             let bytes = bytes_below(&place.join(path)).min(i64::MAX as u64) as i64;
-            self.store_bytes.get_or_create(&[("part", part.to_owned())]).set(bytes);
+            self.store_bytes
+                .get_or_create(&[("part", part.to_owned())])
+                .set(bytes);
         }
         *sized = Some(Instant::now());
     }

@@ -47,15 +47,36 @@ fn served() -> BTreeMap<String, String> {
         helps: None,
         done: Default::default(),
     };
-    let job = Counts { state: "running", profile: "cpu/x".to_owned(), ready: 1, leased: 1, waiting: 1 };
+    let job = Counts {
+        state: "running",
+        profile: "cpu/x".to_owned(),
+        ready: 1,
+        leased: 1,
+        waiting: 1,
+    };
     let (jobs, members) = (vec![job], vec![member]);
-    let text =
-        metrics.text(Moment { jobs, members, data_dir: Some(directory.path().to_owned()), ..moment() });
+    let text = metrics.text(Moment {
+        jobs,
+        members,
+        data_dir: Some(directory.path().to_owned()),
+        ..moment()
+    });
     let text = text.unwrap();
     let of = |line: &str| {
         let (name, kind) = line.strip_prefix("# TYPE ")?.split_once(' ')?;
-        let name = if kind == "counter" { format!("{name}_total") } else { name.to_owned() };
-        Some((name, if kind == "info" { "gauge".to_owned() } else { kind.to_owned() }))
+        let name = if kind == "counter" {
+            format!("{name}_total")
+        } else {
+            name.to_owned()
+        };
+        Some((
+            name,
+            if kind == "info" {
+                "gauge".to_owned()
+            } else {
+                kind.to_owned()
+            },
+        ))
     };
     text.lines()
         .filter_map(of)
@@ -70,7 +91,13 @@ fn served() -> BTreeMap<String, String> {
 fn the_manual_lists_every_metric_and_no_other() {
     let row = |line: &str| {
         let mut cells = line.strip_prefix("| `sightline_")?.split('|');
-        let name = cells.next()?.trim().trim_end_matches('`').split(['{', '`']).next()?.to_owned();
+        let name = cells
+            .next()?
+            .trim()
+            .trim_end_matches('`')
+            .split(['{', '`'])
+            .next()?
+            .to_owned();
         Some((format!("sightline_{name}"), cells.next()?.trim().to_owned()))
     };
     let manual: BTreeMap<String, String> = MANUAL.lines().filter_map(row).collect();

@@ -13,18 +13,24 @@ pub(super) const CLEARLY: f64 = 2.0;
 pub(super) fn fastest(times: &[ProfileTime]) -> Option<&ProfileTime> {
     let software = |t: &ProfileTime| is_software(&t.profile);
     let is_cpu = |t: &ProfileTime| t.profile.starts_with("cpu/");
-    let cpu = times.iter().any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
+    let cpu = times
+        .iter()
+        .any(|t| is_cpu(t) && t.seconds_per_cube.is_finite());
     let cost = |t: &ProfileTime| t.seconds_per_cube * if is_cpu(t) { 1.0 } else { CLEARLY };
     times
         .iter()
-        .filter(|t| t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t)))
+        .filter(|t| {
+            t.seconds_per_cube.is_finite() && t.seconds_per_cube >= 0.0 && !(cpu && software(t))
+        })
         .min_by(|a, b| cost(a).total_cmp(&cost(b)))
 }
 
 /// Whether a profile belongs to a software rasteriser. It uses the same cores as the cpu backend and serves
 /// machines that lack that backend.
 fn is_software(profile: &str) -> bool {
-    ["llvmpipe", "lavapipe", "SwiftShader"].iter().any(|s| profile.contains(s))
+    ["llvmpipe", "lavapipe", "SwiftShader"]
+        .iter()
+        .any(|s| profile.contains(s))
 }
 
 /// The next step for a job that has no profile yet.
@@ -46,7 +52,9 @@ pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding
         BackendChoice::None => profiles.iter().find(|p| *p == NO_PROFILE).cloned(),
         BackendChoice::Auto => {
             let cpu = with("cpu/").is_some();
-            let mut worth = profiles.iter().filter(|p| *p != NO_PROFILE && !(cpu && is_software(p)));
+            let mut worth = profiles
+                .iter()
+                .filter(|p| *p != NO_PROFILE && !(cpu && is_software(p)));
             match (worth.next(), worth.next()) {
                 (Some(only), None) => Some(only.clone()),
                 (Some(_), Some(_)) => return Binding::Time,
@@ -62,18 +70,33 @@ mod tests {
     use super::*;
 
     fn time(profile: &str, seconds_per_cube: f64) -> ProfileTime {
-        ProfileTime { profile: profile.to_owned(), seconds_per_cube }
+        ProfileTime {
+            profile: profile.to_owned(),
+            seconds_per_cube,
+        }
     }
 
     #[test]
     fn only_a_clearly_faster_gpu_displaces_the_cpu() {
         let chosen = |times: &[ProfileTime]| fastest(times).map(|t| t.profile.clone());
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(), Some("cpu/a"));
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(), Some("gpu/b"));
+        assert_eq!(
+            chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.6)]).as_deref(),
+            Some("cpu/a")
+        );
+        assert_eq!(
+            chosen(&[time("cpu/a", 1.0), time("gpu/b", 0.4)]).as_deref(),
+            Some("gpu/b")
+        );
         assert_eq!(chosen(&[time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
-        assert_eq!(chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(), Some("gpu/b"));
+        assert_eq!(
+            chosen(&[time("cpu/a", f64::NAN), time("gpu/b", 9.0)]).as_deref(),
+            Some("gpu/b")
+        );
         let lavapipe = "gpu/wgpu-30/vulkan/llvmpipe (LLVM 15.0.6, 256 bits)";
-        assert_eq!(chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(), Some("cpu/a"));
+        assert_eq!(
+            chosen(&[time("cpu/a", 1.0), time(lavapipe, 0.1)]).as_deref(),
+            Some("cpu/a")
+        );
         assert_eq!(chosen(&[time(lavapipe, 0.1)]).as_deref(), Some(lavapipe));
         assert_eq!(chosen(&[]), None);
     }

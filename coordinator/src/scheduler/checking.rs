@@ -38,7 +38,9 @@ impl Machine {
     pub(super) fn draw(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
         let share = self.settings.spot_check;
         let mut draw = SplitMix64::named(&[self.settings.spot_seed, id.0, u64::from(tile.0)]);
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         // With a time budget two workers do not get equally far.
         let timed = job.work.spec.time_budget_ms > 0;
         let Tile { author, hands, .. } = &job.tiles[tile.at()];
@@ -54,12 +56,18 @@ impl Machine {
     /// An output differs from that of a tile, which two workers have computed for another reason.
     pub(super) fn differed(&mut self, lease: &Lease, digest: Digest) {
         let Lease { job: id, tile, .. } = *lease;
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(Output::Done(kept)) = job.tiles.get(tile.at()).map(|t| t.output) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let Some(Output::Done(kept)) = job.tiles.get(tile.at()).map(|t| t.output) else {
+            return;
+        };
         if self.settings.spot_check <= 0.0 || job.work.spec.time_budget_ms > 0 {
             return;
         }
-        let Some(name) = job.given_to(lease.id.number, tile) else { return };
+        let Some(name) = job.given_to(lease.id.number, tile) else {
+            return;
+        };
         // Those who are known to be wrong accuse nobody, and nobody can be asked who is not known.
         if self.quarantined.contains(&name) || job.tiles[tile.at()].author.is_empty() {
             return;
@@ -85,8 +93,15 @@ impl Machine {
     pub(super) fn quarantine(&mut self, name: &str) {
         self.quarantined.insert(name.into());
         for id in self.of_signature(name) {
-            let leases: Vec<_> = self.workers.get(&id).into_iter().flat_map(|w| w.leases.clone()).collect();
-            leases.into_iter().for_each(|lease| self.end_lease(lease, true));
+            let leases: Vec<_> = self
+                .workers
+                .get(&id)
+                .into_iter()
+                .flat_map(|w| w.leases.clone())
+                .collect();
+            leases
+                .into_iter()
+                .for_each(|lease| self.end_lease(lease, true));
             self.call_back(id);
             self.list_worker(id);
         }
@@ -96,14 +111,24 @@ impl Machine {
     pub(super) fn swept(&mut self) {
         let mut tainted = Vec::new();
         for job in self.jobs.values_mut() {
-            for tile in job.tiles.iter_mut().filter(|tile| tile.output == Output::Open) {
-                if tile.hands.iter().any(|name| self.quarantined.contains(name)) {
+            for tile in job
+                .tiles
+                .iter_mut()
+                .filter(|tile| tile.output == Output::Open)
+            {
+                if tile
+                    .hands
+                    .iter()
+                    .any(|name| self.quarantined.contains(name))
+                {
                     tile.hands.clear();
                     tainted.extend(tile.leases.into_iter().flatten());
                 }
             }
         }
-        tainted.into_iter().for_each(|lease| self.end_lease(lease, true));
+        tainted
+            .into_iter()
+            .for_each(|lease| self.end_lease(lease, true));
     }
 
     /// A worker gets tiles again.
@@ -113,11 +138,17 @@ impl Machine {
     }
 
     fn of_signature(&self, signature: &str) -> Vec<WorkerId> {
-        self.workers.iter().filter(|(_, w)| *w.signature == *signature).map(|(id, _)| *id).collect()
+        self.workers
+            .iter()
+            .filter(|(_, w)| *w.signature == *signature)
+            .map(|(id, _)| *id)
+            .collect()
     }
 
     fn relist(&mut self, name: &str) {
-        self.of_signature(name).into_iter().for_each(|id| self.list_worker(id));
+        self.of_signature(name)
+            .into_iter()
+            .for_each(|id| self.list_worker(id));
     }
 
     /// Leases checks to idle workers. With every tick.
@@ -137,8 +168,14 @@ impl Machine {
             if self.jobs.get(&id).is_some_and(starts) {
                 self.start(id);
             }
-            let Some((profile, spot)) = self.due(id, tile, now) else { continue };
-            let is_idle = self.pools.of.get(&profile).is_some_and(|pool| !pool.hungry[0].is_empty());
+            let Some((profile, spot)) = self.due(id, tile, now) else {
+                continue;
+            };
+            let is_idle = self
+                .pools
+                .of
+                .get(&profile)
+                .is_some_and(|pool| !pool.hungry[0].is_empty());
             let is_last = self.jobs.get(&id).is_some_and(|job| job.open() == 0);
             if !is_idle && !is_last && !spot.is_disputed() {
                 continue;
@@ -159,7 +196,11 @@ impl Machine {
     fn checker(&self, profile: &Profile, spot: &Spot) -> Option<WorkerId> {
         if !spot.is_disputed() {
             let mut hungry = self.pools.of.get(profile)?.hungry[0].iter();
-            let may = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| !spot.knows(&w.signature));
+            let may = |w: &&WorkerId| {
+                self.workers
+                    .get(w)
+                    .is_some_and(|w| !spot.knows(&w.signature))
+            };
             return hungry.find(may).copied();
         }
         let may = |w: &Worker| {
@@ -172,20 +213,34 @@ impl Machine {
     /// Whether a worker can check a tile, once it has nothing else to do.
     fn could_check(&self, w: &Worker, profile: &Profile, spot: &Spot) -> bool {
         let name = &*w.signature;
-        let barred = if spot.is_disputed() { self.quarantined.contains(name) } else { self.is_barred(name) };
+        let barred = if spot.is_disputed() {
+            self.quarantined.contains(name)
+        } else {
+            self.is_barred(name)
+        };
         let asks = !w.silent && w.deaf_until.is_none() && (w.wants > 0 || !w.leases.is_empty());
         w.profiles.contains(profile) && asks && !w.draining && !barred && !spot.knows(name)
     }
 
     /// Leases an idle worker a check for which a job waits, before it gets a tile; returns whether it did.
     pub(super) fn check_first(&mut self, worker: WorkerId, profile: &Profile, now: Now) -> bool {
-        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else { return false };
+        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else {
+            return false;
+        };
         let waits = |(id, tile): &&(JobId, TileIndex)| {
-            let due = self.due(*id, *tile, now).filter(|(of, spot)| of == profile && !spot.knows(&name));
+            let due = self
+                .due(*id, *tile, now)
+                .filter(|(of, spot)| of == profile && !spot.knows(&name));
             let is_last = self.jobs.get(id).is_some_and(|job| job.open() == 0);
             due.is_some_and(|(_, spot)| is_last || spot.is_disputed())
         };
-        let Some((id, tile)) = self.spotted.iter().take(MOST_LOOKED_AT).find(waits).copied() else {
+        let Some((id, tile)) = self
+            .spotted
+            .iter()
+            .take(MOST_LOOKED_AT)
+            .find(waits)
+            .copied()
+        else {
             return false;
         };
         self.grant(worker, id, tile, Profile::clone(profile), now);
@@ -197,7 +252,8 @@ impl Machine {
     fn due(&self, id: JobId, tile: TileIndex, now: Now) -> Option<(Profile, &Spot)> {
         let job = self.jobs.get(&id)?;
         let spot = job.spots.get(&tile)?;
-        let runs = job.record.state.phase() == JobPhase::Running && self.allowed(job) && !job.pending;
+        let runs =
+            job.record.state.phase() == JobPhase::Running && self.allowed(job) && !job.pending;
         // Tiles that it needs may be open again; then it is to be computed from what they will be.
         let own = &job.tiles[tile.at()];
         let ready = own.leases == [None; 2] && own.missing == 0;
@@ -208,7 +264,11 @@ impl Machine {
 
     /// Notes that the lease on a done tile is a check.
     fn mark_check(&mut self, id: JobId, tile: TileIndex) {
-        let leases = self.jobs.get(&id).map(|job| job.tiles[tile.at()].leases).unwrap_or_default();
+        let leases = self
+            .jobs
+            .get(&id)
+            .map(|job| job.tiles[tile.at()].leases)
+            .unwrap_or_default();
         for lease in leases.into_iter().flatten() {
             if let Some(l) = self.leases.get_mut(&lease) {
                 l.checks = true;
@@ -218,20 +278,41 @@ impl Machine {
 
     /// Nobody idle can check a tile: whether anybody can.
     fn look_for_others(&mut self, id: JobId, tile: TileIndex, profile: &Profile, now: Now) {
-        let Some(job) = self.jobs.get(&id) else { return };
-        let Some(spot) = job.spots.get(&tile) else { return };
-        let able = self.workers.values().any(|w| self.could_check(w, profile, spot));
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
+        let Some(spot) = job.spots.get(&tile) else {
+            return;
+        };
+        let able = self
+            .workers
+            .values()
+            .any(|w| self.could_check(w, profile, spot));
         // No worker takes an open tile while all are barred by disputes.
-        let may_work =
-            |w: &Worker| w.profiles.contains(profile) && !w.draining && !self.is_barred(&w.signature);
+        let may_work = |w: &Worker| {
+            w.profiles.contains(profile) && !w.draining && !self.is_barred(&w.signature)
+        };
         let waits = job.open() == 0 || !self.workers.values().any(may_work);
-        let with_helpers = Spot { helpers_may: true, ..spot.clone() };
+        let with_helpers = Spot {
+            helpers_may: true,
+            ..spot.clone()
+        };
         let helped = |w: &Worker| self.could_check(w, profile, &with_helpers);
         let helpers_could = !spot.helpers_may && self.workers.values().any(helped);
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
+        let Some(spot) = self
+            .jobs
+            .get_mut(&id)
+            .and_then(|job| job.spots.get_mut(&tile))
+        else {
+            return;
+        };
         if able || !waits {
             spot.lonely_since = None;
-        } else if now.ms.saturating_sub(*spot.lonely_since.get_or_insert(now.ms)) < LONELY {
+        } else if now
+            .ms
+            .saturating_sub(*spot.lonely_since.get_or_insert(now.ms))
+            < LONELY
+        {
             // Somebody may come.
         } else if helpers_could {
             spot.helpers_may = true;
@@ -276,7 +357,13 @@ impl Machine {
 
     /// A check failed on a worker.
     pub(super) fn check_failed(&mut self, id: JobId, tile: TileIndex, now: Now) {
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
+        let Some(spot) = self
+            .jobs
+            .get_mut(&id)
+            .and_then(|job| job.spots.get_mut(&tile))
+        else {
+            return;
+        };
         spot.tries += 1;
         spot.not_before = now.ms + (AFTER_FAILURE.0 << spot.tries.min(AFTER_FAILURE.1));
         if spot.tries >= MOST_TRIES && !spot.is_disputed() {
@@ -286,13 +373,23 @@ impl Machine {
 
     /// A worker has computed a tile again.
     pub(super) fn checked(&mut self, lease: &Lease, digest: Digest) {
-        let held =
-            self.leases.get(&lease.id).filter(|l| (l.job, l.tile, l.checks) == (lease.job, lease.tile, true));
-        let Some(worker) = held.map(|l| l.worker) else { return };
-        let name = self.jobs.get(&lease.job).and_then(|job| job.given_to(lease.id.number, lease.tile));
+        let held = self
+            .leases
+            .get(&lease.id)
+            .filter(|l| (l.job, l.tile, l.checks) == (lease.job, lease.tile, true));
+        let Some(worker) = held.map(|l| l.worker) else {
+            return;
+        };
+        let name = self
+            .jobs
+            .get(&lease.job)
+            .and_then(|job| job.given_to(lease.id.number, lease.tile));
         self.end_lease(lease.id, false);
         if let Some(w) = self.workers.get(&worker) {
-            debug_assert!(name.as_ref() == Some(&w.signature), "a lease has its worker's name");
+            debug_assert!(
+                name.as_ref() == Some(&w.signature),
+                "a lease has its worker's name"
+            );
         }
         let Some(name) = name else { return };
         self.take_answer(lease.job, lease.tile, digest, name);
@@ -301,17 +398,42 @@ impl Machine {
 
     /// Compares an answer with those that are there.
     fn take_answer(&mut self, id: JobId, tile: TileIndex, digest: Digest, name: Name) {
-        let Some(spot) = self.jobs.get_mut(&id).and_then(|job| job.spots.get_mut(&tile)) else { return };
+        let Some(spot) = self
+            .jobs
+            .get_mut(&id)
+            .and_then(|job| job.spots.get_mut(&tile))
+        else {
+            return;
+        };
         if spot.knows(&name) || spot.condemned {
             return;
         }
-        let Some(at) = spot.answers.iter().position(|answer| answer.digest == digest) else {
+        let Some(at) = spot
+            .answers
+            .iter()
+            .position(|answer| answer.digest == digest)
+        else {
             let workers = BTreeSet::from([Name::clone(&name)]);
-            spot.answers.push(Answer { digest, author: Name::clone(&name), workers });
-            let all: BTreeSet<Name> = spot.answers.iter().flat_map(|a| a.workers.iter().cloned()).collect();
-            self.note(Note::Differs(id, tile, all.iter().map(|name| name.to_string()).collect()));
+            spot.answers.push(Answer {
+                digest,
+                author: Name::clone(&name),
+                workers,
+            });
+            let all: BTreeSet<Name> = spot
+                .answers
+                .iter()
+                .flat_map(|a| a.workers.iter().cloned())
+                .collect();
+            self.note(Note::Differs(
+                id,
+                tile,
+                all.iter().map(|name| name.to_string()).collect(),
+            ));
             for name in all {
-                self.suspects.entry(Name::clone(&name)).or_default().insert((id, tile));
+                self.suspects
+                    .entry(Name::clone(&name))
+                    .or_default()
+                    .insert((id, tile));
                 self.relist(&name);
             }
             return;
@@ -319,12 +441,19 @@ impl Machine {
         let mut right = spot.answers[at].workers.clone();
         right.insert(Name::clone(&name));
         let others = spot.answers.iter().enumerate().filter(|(n, _)| *n != at);
-        let wrong: BTreeSet<Name> = others.flat_map(|(_, answer)| answer.guilty(&right)).collect();
+        let wrong: BTreeSet<Name> = others
+            .flat_map(|(_, answer)| answer.guilty(&right))
+            .collect();
         let kept_is_right = at == 0;
         spot.condemned = !kept_is_right;
         if kept_is_right {
             self.forget_spot(id, tile);
-            let command = Command::Confirm { job: id, tile, digest, worker: name.to_string() };
+            let command = Command::Confirm {
+                job: id,
+                tile,
+                digest,
+                worker: name.to_string(),
+            };
             self.effects.push(Effect::Run(command));
             self.note(Note::Agrees(id, tile, name.to_string()));
         } else {
@@ -332,11 +461,16 @@ impl Machine {
         }
         if !wrong.is_empty() {
             wrong.iter().for_each(|name| self.quarantine(name));
-            let reason =
-                format!("its bytes for tile {tile} of job {id} are not those that two others have computed");
+            let reason = format!(
+                "its bytes for tile {tile} of job {id} are not those that two others have computed"
+            );
             let workers = wrong.iter().map(|name| name.to_string()).collect();
             let condemned = (!kept_is_right).then_some((id, tile));
-            self.effects.push(Effect::Run(Command::Quarantine { workers, condemned, reason }));
+            self.effects.push(Effect::Run(Command::Quarantine {
+                workers,
+                condemned,
+                reason,
+            }));
         }
         self.assemble_if_complete(id);
     }

@@ -30,7 +30,11 @@ impl Machine {
                     JobPhase::Paused => "paused",
                     _ => "queued",
                 },
-                profile: job.record.profile.clone().unwrap_or_else(|| "unbound".to_owned()),
+                profile: job
+                    .record
+                    .profile
+                    .clone()
+                    .unwrap_or_else(|| "unbound".to_owned()),
                 ready,
                 leased: job.running,
                 waiting: job.open().saturating_sub(ready).saturating_sub(job.running),

@@ -8,7 +8,14 @@ use crate::ids::{Lease, WorkerId};
 /// The leaders whom a worker was told to help, in their order.
 fn helps(b: &Bench, worker: WorkerId) -> Vec<Lease> {
     let told = b.told.get(&worker).into_iter().flatten();
-    told.filter_map(|o| if let Order::Help(help) = o { Some(help.lease) } else { None }).collect()
+    told.filter_map(|o| {
+        if let Order::Help(help) = o {
+            Some(help.lease)
+        } else {
+            None
+        }
+    })
+    .collect()
 }
 
 /// Two leaders with a tile each, and their leases.
@@ -38,7 +45,11 @@ fn idle_workers_are_spread_over_the_crews() {
     b.step(Event::Helped(early, one));
     assert_eq!(helps(&b, early), [one, two]);
     b.step(Event::Helped(early, one));
-    assert_eq!(helps(&b, early).len(), 2, "an answer to an earlier order changes nothing");
+    assert_eq!(
+        helps(&b, early).len(),
+        2,
+        "an answer to an earlier order changes nothing"
+    );
 }
 
 #[test]
@@ -47,7 +58,12 @@ fn a_crew_has_at_most_31_helpers() {
     b.step(Event::CrewOpened(one));
     let helpers: Vec<WorkerId> = (0..32).map(|i| b.join(&format!("helper {i}"))).collect();
     helpers.iter().for_each(|w| b.want(*w, 2));
-    let with = |b: &Bench, lease| helpers.iter().filter(|w| helps(b, **w).last() == Some(&lease)).count();
+    let with = |b: &Bench, lease| {
+        helpers
+            .iter()
+            .filter(|w| helps(b, **w).last() == Some(&lease))
+            .count()
+    };
     assert_eq!((with(&b, one), with(&b, two)), (31, 0));
     // The one that was left helps, and others move until both crews have as many.
     b.step(Event::CrewOpened(two));
@@ -66,7 +82,10 @@ fn a_helper_that_gets_a_tile_is_called_back_first() {
     b.fail(other, two, true);
     b.wait(3);
     let tail: Vec<&Order> = b.told[&helper].iter().rev().take(2).collect();
-    assert!(matches!(tail[0], Order::Grant(grant) if grant.lease.tile == two.tile), "{tail:?}");
+    assert!(
+        matches!(tail[0], Order::Grant(grant) if grant.lease.tile == two.tile),
+        "{tail:?}"
+    );
     assert_eq!(tail[1], &Order::Revoke(one));
     b.step(Event::Helped(helper, one));
     assert_eq!(helps(&b, helper), [one], "it has a tile of its own");
@@ -76,7 +95,10 @@ fn a_helper_that_gets_a_tile_is_called_back_first() {
 #[test]
 fn helpers_and_leaders_that_vanish_are_forgotten() {
     let (mut b, [leader, _], [one, _]) = two_leaders();
-    let stray = Lease { tile: crate::ids::TileIndex(1), ..one };
+    let stray = Lease {
+        tile: crate::ids::TileIndex(1),
+        ..one
+    };
     b.step(Event::CrewOpened(stray));
     b.step(Event::CrewOpened(one));
     b.step(Event::CrewOpened(one));

@@ -17,7 +17,9 @@ use crate::ids::{Lease, LeaseId, WorkerId};
 impl Machine {
     /// Whether a tile is leased under this lease.
     pub(crate) fn is_leased(&self, lease: &Lease) -> bool {
-        self.leases.get(&lease.id).is_some_and(|l| (l.job, l.tile) == (lease.job, lease.tile))
+        self.leases
+            .get(&lease.id)
+            .is_some_and(|l| (l.job, l.tile) == (lease.job, lease.tile))
     }
 
     /// Whether a done tile is computed again under this lease, to be compared.
@@ -30,7 +32,13 @@ impl Machine {
         if !self.is_leased(&lease) || self.crews.contains_key(&lease.id) {
             return;
         }
-        let Some(profile) = self.leases.get(&lease.id).map(|l| Profile::clone(&l.profile)) else { return };
+        let Some(profile) = self
+            .leases
+            .get(&lease.id)
+            .map(|l| Profile::clone(&l.profile))
+        else {
+            return;
+        };
         // A check has nobody else's hands in it.
         if self.leases.get(&lease.id).is_some_and(|l| l.checks) {
             return;
@@ -38,12 +46,22 @@ impl Machine {
         self.note_hand(&lease);
         // A paused job gets no help.
         let runs = self.jobs.get(&lease.job).filter(|job| job.runs());
-        let Some(whom) = runs.map(|job| job.whom.clone()) else { return };
+        let Some(whom) = runs.map(|job| job.whom.clone()) else {
+            return;
+        };
         let share = self.share(&whom.user);
         let pool = self.pools.at(&profile);
         pool.crews.insert(&whom, share, (0, lease.id));
         pool.crew_count += 1;
-        self.crews.insert(lease.id, Crew { lease, profile, whom, helpers: BTreeMap::new() });
+        self.crews.insert(
+            lease.id,
+            Crew {
+                lease,
+                profile,
+                whom,
+                helpers: BTreeMap::new(),
+            },
+        );
     }
 
     /// The holder of a lease can use no helpers any more.
@@ -51,11 +69,13 @@ impl Machine {
         if let Some(crew) = self.crews.remove(&id) {
             let share = self.share(&crew.whom.user);
             let pool = self.pools.at(&crew.profile);
-            pool.crews.remove(&crew.whom, share, &(crew.helpers.len(), id));
+            pool.crews
+                .remove(&crew.whom, share, &(crew.helpers.len(), id));
             pool.crew_count -= 1;
             // Where the leader hangs, nobody else tells them.
             for (helper, since) in crew.helpers {
-                self.effects.push(Effect::Tell(helper, Order::Revoke(crew.lease)));
+                self.effects
+                    .push(Effect::Tell(helper, Order::Revoke(crew.lease)));
                 self.discharge(crew.lease.job, since);
             }
             self.pools.tidy(&crew.profile);
@@ -64,7 +84,13 @@ impl Machine {
 
     /// A worker helps the holder of a lease no more.
     pub(super) fn helped(&mut self, worker: WorkerId, lease: &Lease) {
-        let Some(w) = self.workers.get_mut(&worker).filter(|w| w.helps == Some(*lease)) else { return };
+        let Some(w) = self
+            .workers
+            .get_mut(&worker)
+            .filter(|w| w.helps == Some(*lease))
+        else {
+            return;
+        };
         w.helps = None;
         self.has_left(lease.id, worker);
         self.list_worker(worker);
@@ -72,8 +98,12 @@ impl Machine {
 
     /// A helper has left a crew.
     pub(super) fn has_left(&mut self, id: LeaseId, worker: WorkerId) {
-        let Some(crew) = self.crews.get_mut(&id) else { return };
-        let Some(since) = crew.helpers.remove(&worker) else { return };
+        let Some(crew) = self.crews.get_mut(&id) else {
+            return;
+        };
+        let Some(since) = crew.helpers.remove(&worker) else {
+            return;
+        };
         let (job, now) = (crew.lease.job, crew.helpers.len());
         self.recount(id, now + 1, now);
         self.discharge(job, since);
@@ -82,7 +112,9 @@ impl Machine {
     /// A helper is sent to a crew.
     fn has_come(&mut self, id: LeaseId, worker: WorkerId) {
         let clock = self.clock;
-        let Some(crew) = self.crews.get_mut(&id) else { return };
+        let Some(crew) = self.crews.get_mut(&id) else {
+            return;
+        };
         crew.helpers.insert(worker, clock);
         let (lease, now) = (crew.lease, crew.helpers.len());
         self.recount(id, now - 1, now);
@@ -98,7 +130,9 @@ impl Machine {
     }
 
     fn note_hands(&mut self, lease: &Lease, worker: WorkerId) {
-        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else { return };
+        let Some(name) = self.workers.get(&worker).map(|w| Name::clone(&w.signature)) else {
+            return;
+        };
         if let Some(job) = self.jobs.get_mut(&lease.job) {
             job.tiles[lease.tile.at()].hands.insert(name);
         }
@@ -106,7 +140,9 @@ impl Machine {
 
     /// The job of a crew has another priority.
     pub(super) fn move_crew(&mut self, id: LeaseId, to: Reverse<i32>) {
-        let Some(crew) = self.crews.get_mut(&id) else { return };
+        let Some(crew) = self.crews.get_mut(&id) else {
+            return;
+        };
         let from = crew.whom.clone();
         crew.whom.priority = to;
         let (whom, entry) = (crew.whom.clone(), (crew.helpers.len(), id));
@@ -119,7 +155,9 @@ impl Machine {
 
     /// Lists a crew with another number of helpers.
     fn recount(&mut self, id: LeaseId, from: usize, to: usize) {
-        let Some(crew) = self.crews.get(&id) else { return };
+        let Some(crew) = self.crews.get(&id) else {
+            return;
+        };
         let share = self.share(&crew.whom.user);
         let crews = &mut self.pools.at(&crew.profile).crews;
         crews.remove(&crew.whom, share, &(from, id));
@@ -136,18 +174,34 @@ impl Machine {
     /// Sends a worker without a tile to the crew whose turn it is, or moves one to it from another crew;
     /// returns whether it did.
     pub(super) fn send_helper(&mut self, profile: &Profile) -> bool {
-        let Some(pool) = self.pools.of.get(profile) else { return false };
-        let Some((_, (_, id))) = pool.crew_with_room() else { return false };
+        let Some(pool) = self.pools.of.get(profile) else {
+            return false;
+        };
+        let Some((_, (_, id))) = pool.crew_with_room() else {
+            return false;
+        };
         let free = pool.helpers.first().copied();
-        let Some(worker) = free.or_else(|| self.may_move(profile)) else { return false };
+        let Some(worker) = free.or_else(|| self.may_move(profile)) else {
+            return false;
+        };
         if let Some(earlier) = self.workers.get(&worker).and_then(|w| w.helps) {
-            self.effects.push(Effect::Tell(worker, Order::Revoke(earlier)));
+            self.effects
+                .push(Effect::Tell(worker, Order::Revoke(earlier)));
             self.has_left(earlier.id, worker);
         }
-        let Some(lease) = self.crews.get(&id).map(|crew| crew.lease) else { return false };
-        let Some(job) = self.jobs.get(&lease.job) else { return false };
-        let help = Help { lease, spec: job.work.spec.clone(), profile: profile.to_string() };
-        self.effects.push(Effect::Tell(worker, Order::Help(Box::new(help))));
+        let Some(lease) = self.crews.get(&id).map(|crew| crew.lease) else {
+            return false;
+        };
+        let Some(job) = self.jobs.get(&lease.job) else {
+            return false;
+        };
+        let help = Help {
+            lease,
+            spec: job.work.spec.clone(),
+            profile: profile.to_string(),
+        };
+        self.effects
+            .push(Effect::Tell(worker, Order::Help(Box::new(help))));
         if let Some(w) = self.workers.get_mut(&worker) {
             w.helps = Some(lease);
         }
@@ -174,14 +228,19 @@ impl Machine {
         }
         // One that was called back for a tile is on its way already.
         let helpers = &self.crews.get(&id)?.helpers;
-        let stays = |w: &&WorkerId| self.workers.get(w).is_some_and(|w| w.leases.is_empty() && !w.draining);
+        let stays = |w: &&WorkerId| {
+            self.workers
+                .get(w)
+                .is_some_and(|w| w.leases.is_empty() && !w.draining)
+        };
         helpers.keys().rev().find(stays).copied()
     }
 
     /// Calls a worker back from the crew that it helps, because it gets a tile.
     pub(super) fn call_back(&mut self, worker: WorkerId) {
         if let Some(lease) = self.workers.get(&worker).and_then(|w| w.helps) {
-            self.effects.push(Effect::Tell(worker, Order::Revoke(lease)));
+            self.effects
+                .push(Effect::Tell(worker, Order::Revoke(lease)));
         }
     }
 }

@@ -18,11 +18,17 @@ fn start(b: &mut Bench, name: &str, instance: u64, tiles: u32) -> WorkerId {
 /// Returns the names of the workers on which the tile failed.
 fn failed_on(b: &Bench, tile: u32) -> Vec<String> {
     let tile = b.store.tile(JOB, TileIndex(tile)).unwrap();
-    tile.failures.into_iter().map(|failure| failure.worker).collect()
+    tile.failures
+        .into_iter()
+        .map(|failure| failure.worker)
+        .collect()
 }
 
 fn is_set_aside(b: &Bench, tile: u32) -> bool {
-    matches!(b.machine.job(JOB).unwrap().tiles[tile as usize].output, Output::SetAside(_))
+    matches!(
+        b.machine.job(JOB).unwrap().tiles[tile as usize].output,
+        Output::SetAside(_)
+    )
 }
 
 #[test]
@@ -182,7 +188,11 @@ fn late_output_of_lost_worker_counts_as_no_death() {
     let lease = b.grants(worker)[0];
     b.leave(worker);
     let stats = Default::default();
-    b.step(Event::Committed { lease, digest: [3; 32], stats });
+    b.step(Event::Committed {
+        lease,
+        digest: [3; 32],
+        stats,
+    });
     b.wait(5);
     start(&mut b, "a", 2, 1);
     assert!(failed_on(&b, 0).is_empty());
@@ -222,10 +232,24 @@ fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
     b.leave(worker);
     b.wait(3);
     b.try_join("a", 1, Vec::new()).unwrap();
-    let Some(Command::CountDeath { job, tile, worker, reason }) = b.ran.pop() else { panic!("no death") };
+    let Some(Command::CountDeath {
+        job,
+        tile,
+        worker,
+        reason,
+    }) = b.ran.pop()
+    else {
+        panic!("no death")
+    };
     let on = b.store.count_death(job, tile, &worker, &reason).unwrap();
     assert_eq!(failed_on(&b, 0), ["a"]);
-    b.step(Event::FailureRecorded { job, tile, on, reason, dead: Some(worker) });
+    b.step(Event::FailureRecorded {
+        job,
+        tile,
+        on,
+        reason,
+        dead: Some(worker),
+    });
     assert!(failed_on(&b, 0).is_empty());
     assert!(b.machine.recording.is_empty());
     // No verdict holds the tile back.

@@ -21,13 +21,30 @@ impl Machine {
     pub(super) fn miss(&mut self, id: WorkerId, worker: &Worker) {
         let (name, instance) = (worker.name.clone(), worker.instance);
         if let Some(lease) = worker.unheard {
-            self.count_death(Missing { name, instance, lease });
+            self.count_death(Missing {
+                name,
+                instance,
+                lease,
+            });
             return;
         }
-        let Some(first) = worker.leases.first().copied() else { return };
+        let Some(first) = worker.leases.first().copied() else {
+            return;
+        };
         if let Some(l) = self.leases.get(&first).filter(|l| !l.checks) {
-            let lease = Lease { job: l.job, tile: l.tile, id: first };
-            self.missing.insert(id, Missing { name, instance, lease });
+            let lease = Lease {
+                job: l.job,
+                tile: l.tile,
+                id: first,
+            };
+            self.missing.insert(
+                id,
+                Missing {
+                    name,
+                    instance,
+                    lease,
+                },
+            );
         }
     }
 
@@ -37,42 +54,80 @@ impl Machine {
         if instance == 0 {
             return;
         }
-        self.missing.retain(|_, missing| missing.instance != instance);
+        self.missing
+            .retain(|_, missing| missing.instance != instance);
         self.cancel_deaths(instance);
-        let dead: Vec<WorkerId> =
-            self.missing.iter().filter(|(_, m)| m.name == name).map(|(id, _)| *id).collect();
+        let dead: Vec<WorkerId> = self
+            .missing
+            .iter()
+            .filter(|(_, m)| m.name == name)
+            .map(|(id, _)| *id)
+            .collect();
         for id in dead {
-            let Some(missing) = self.missing.remove(&id) else { continue };
+            let Some(missing) = self.missing.remove(&id) else {
+                continue;
+            };
             let theirs = |(_, l): &(&LeaseId, &super::machine::Leased)| l.worker == id;
-            let leases: Vec<LeaseId> = self.leases.iter().filter(theirs).map(|(lease, _)| *lease).collect();
-            leases.into_iter().for_each(|lease| self.end_lease(lease, false));
+            let leases: Vec<LeaseId> = self
+                .leases
+                .iter()
+                .filter(theirs)
+                .map(|(lease, _)| *lease)
+                .collect();
+            leases
+                .into_iter()
+                .for_each(|lease| self.end_lease(lease, false));
             self.count_death(missing);
         }
     }
 
     /// Removes and returns the missing worker whose first lease this is.
     pub(super) fn remove_missing(&mut self, worker: WorkerId, lease: LeaseId) -> Option<Missing> {
-        self.missing.get(&worker).filter(|missing| missing.lease.id == lease)?;
+        self.missing
+            .get(&worker)
+            .filter(|missing| missing.lease.id == lease)?;
         self.missing.remove(&worker)
     }
 
     /// Counts the death of a worker as a failure of its tile.
     pub(super) fn count_death(&mut self, of: Missing) {
-        let Missing { name, instance, lease } = of;
+        let Missing {
+            name,
+            instance,
+            lease,
+        } = of;
         let Lease { job: id, tile, .. } = lease;
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(t) = job.tiles.get_mut(tile.at()).filter(|t| t.output == Output::Open) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let Some(t) = job
+            .tiles
+            .get_mut(tile.at())
+            .filter(|t| t.output == Output::Open)
+        else {
+            return;
+        };
         t.deaths.push(instance);
         t.judged = true;
         job.look_at(tile);
         if self.deaths.len() == MAX_DEATHS {
             self.deaths.pop_front();
         }
-        self.deaths.push_back(Death { name: name.clone(), instance, job: id, tile });
+        self.deaths.push_back(Death {
+            name: name.clone(),
+            instance,
+            job: id,
+            tile,
+        });
         self.note(Note::Died(lease, name.clone()));
         self.recording.insert((id, tile, name.clone()), false);
         let reason = REASON.to_owned();
-        self.effects.push(Effect::Run(Command::CountDeath { job: id, tile, worker: name, reason }));
+        self.effects.push(Effect::Run(Command::CountDeath {
+            job: id,
+            tile,
+            worker: name,
+            reason,
+        }));
         self.list_job(id);
         self.tell_watchers(id);
     }
@@ -86,7 +141,12 @@ impl Machine {
         }
         let (id, tile, worker) = of;
         let reason = REASON.to_owned();
-        self.effects.push(Effect::Run(Command::CancelDeath { job: id, tile, worker, reason }));
+        self.effects.push(Effect::Run(Command::CancelDeath {
+            job: id,
+            tile,
+            worker,
+            reason,
+        }));
         if let Some(job) = self.jobs.get_mut(&id)
             && let Some(t) = job.tiles.get_mut(tile.at())
         {
@@ -99,15 +159,30 @@ impl Machine {
 
     /// Cancels the deaths of a process that has returned.
     fn cancel_deaths(&mut self, instance: u64) {
-        let (back, rest): (Vec<Death>, Vec<Death>) =
-            std::mem::take(&mut self.deaths).into_iter().partition(|death| death.instance == instance);
+        let (back, rest): (Vec<Death>, Vec<Death>) = std::mem::take(&mut self.deaths)
+            .into_iter()
+            .partition(|death| death.instance == instance);
         self.deaths = rest.into();
-        for Death { name, job: id, tile, .. } in back {
-            if let Some(t) = self.jobs.get_mut(&id).and_then(|job| job.tiles.get_mut(tile.at())) {
+        for Death {
+            name,
+            job: id,
+            tile,
+            ..
+        } in back
+        {
+            if let Some(t) = self
+                .jobs
+                .get_mut(&id)
+                .and_then(|job| job.tiles.get_mut(tile.at()))
+            {
                 t.deaths.retain(|of| *of != instance);
             }
             // The store keeps one failure for a name: it also stands for the death of another process.
-            if self.deaths.iter().any(|other| (&other.name, other.job, other.tile) == (&name, id, tile)) {
+            if self
+                .deaths
+                .iter()
+                .any(|other| (&other.name, other.job, other.tile) == (&name, id, tile))
+            {
                 continue;
             }
             let of = (id, tile, name);
@@ -117,7 +192,12 @@ impl Machine {
                 continue;
             }
             let (worker, reason) = (of.2, REASON.to_owned());
-            self.effects.push(Effect::Run(Command::CancelDeath { job: id, tile, worker, reason }));
+            self.effects.push(Effect::Run(Command::CancelDeath {
+                job: id,
+                tile,
+                worker,
+                reason,
+            }));
         }
     }
 }

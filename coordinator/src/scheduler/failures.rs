@@ -19,20 +19,34 @@ const MOST_DOUBLINGS: u32 = 6;
 impl Machine {
     /// Counts a tile's failure.
     pub(super) fn failed(&mut self, worker: WorkerId, failure: Failure, now: Now) {
-        let Failure { lease, reason, infrastructure } = failure;
+        let Failure {
+            lease,
+            reason,
+            infrastructure,
+        } = failure;
         let Lease { job: id, tile, .. } = lease;
-        if self.leases.get(&lease.id).is_none_or(|l| (l.job, l.tile) != (id, tile)) {
+        if self
+            .leases
+            .get(&lease.id)
+            .is_none_or(|l| (l.job, l.tile) != (id, tile))
+        {
             return;
         }
         let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
         self.end_lease(lease.id, false);
         self.tell_watchers(id);
-        let name = self.workers.get(&worker).map(|w| w.name.clone()).unwrap_or_default();
+        let name = self
+            .workers
+            .get(&worker)
+            .map(|w| w.name.clone())
+            .unwrap_or_default();
         self.note(Note::TileFailed(lease, name.clone(), reason.clone()));
         if checks {
             self.check_failed(id, tile, now);
         }
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let t = &mut job.tiles[tile.at()];
         if t.output != Output::Open {
             return;
@@ -45,7 +59,12 @@ impl Machine {
             }
         }
         if !std::mem::replace(&mut t.judged, true) {
-            self.effects.push(Effect::Run(Command::Fail { job: id, tile, worker: name, reason }));
+            self.effects.push(Effect::Run(Command::Fail {
+                job: id,
+                tile,
+                worker: name,
+                reason,
+            }));
         }
         job.look_at(tile);
         self.list_job(id);
@@ -55,7 +74,9 @@ impl Machine {
     /// together are not tried again together.
     pub(super) fn back_off(&mut self, id: JobId, tile: TileIndex, now: Now) {
         let jitter = 0.75 + 0.5 * self.random.unit_f64();
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let t = &mut job.tiles[tile.at()];
         let wait = 1000u64 << t.faults.saturating_sub(1).min(MOST_DOUBLINGS);
         let until = now.ms + (wait as f64 * jitter) as u64;
@@ -67,9 +88,19 @@ impl Machine {
 
     /// Decides on a tile whose failure is recorded: on how many workers it has failed, and whether this one
     /// is a death.
-    pub(super) fn judge(&mut self, id: JobId, tile: TileIndex, (on, died): (u32, bool), reason: &str) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(t) = job.tiles.get_mut(tile.at()) else { return };
+    pub(super) fn judge(
+        &mut self,
+        id: JobId,
+        tile: TileIndex,
+        (on, died): (u32, bool),
+        reason: &str,
+    ) {
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let Some(t) = job.tiles.get_mut(tile.at()) else {
+            return;
+        };
         t.judged = false;
         t.attempts += u32::from(!died);
         let attempts = t.attempts.saturating_add(t.deaths.len() as u32);
@@ -86,7 +117,12 @@ impl Machine {
                 _ => format!("tile {tile} failed on {on} workers: {reason}"),
             };
             let work = std::sync::Arc::clone(&job.work);
-            self.effects.push(Effect::Run(Command::SetAside { job: id, work, tiles, reason }));
+            self.effects.push(Effect::Run(Command::SetAside {
+                job: id,
+                work,
+                tiles,
+                reason,
+            }));
         }
         if let Some(job) = self.jobs.get_mut(&id) {
             job.look_at(tile);

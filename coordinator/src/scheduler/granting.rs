@@ -25,7 +25,9 @@ const MOST_DOUBLED: usize = 16;
 impl Machine {
     /// Puts a job into the list in which it belongs now.
     pub(super) fn list_job(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let ready = job.ready.len();
         let fit = ready > 0 && self.allowed(job) && !job.grace && job.parked.is_none();
         let list = match &job.record.profile {
@@ -41,7 +43,9 @@ impl Machine {
             return;
         }
         self.unlist_job(id);
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let (place, whom) = (job.place(), job.whom.clone());
         job.listed = belongs.clone();
         let share = self.share(&whom.user);
@@ -60,7 +64,9 @@ impl Machine {
 
     /// Takes a job out of its list.
     pub(super) fn unlist_job(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let (place, whom) = (job.place(), job.whom.clone());
         let listed = job.listed.take();
         let share = self.share(&whom.user);
@@ -93,24 +99,34 @@ impl Machine {
 
     /// Takes the next decision about a profile; returns whether there may be another one.
     fn settle_one(&mut self, profile: &Profile, now: Now) -> bool {
-        let Some(pool) = self.pools.of.get(profile) else { return false };
+        let Some(pool) = self.pools.of.get(profile) else {
+            return false;
+        };
         let idle = pool.hungry[0].first().copied();
-        let busy = pool.hungry[1].first().copied().filter(|_| pool.ready > pool.idle.len());
+        let busy = pool.hungry[1]
+            .first()
+            .copied()
+            .filter(|_| pool.ready > pool.idle.len());
         if let Some(worker) = idle
             && !self.spotted.is_empty()
             && self.check_first(worker, profile, now)
         {
             return true;
         }
-        let Some(pool) = self.pools.of.get(profile) else { return false };
+        let Some(pool) = self.pools.of.get(profile) else {
+            return false;
+        };
         let Some((_, &id)) = pool.jobs.first() else {
             // Only tiles that are leased to busy workers remain.
-            let Some(&(_, tile, lease)) = pool.waiting.iter().find(|w| self.may_move_tile(w.2)) else {
+            let Some(&(_, tile, lease)) = pool.waiting.iter().find(|w| self.may_move_tile(w.2))
+            else {
                 return false;
             };
             return idle.is_some_and(|worker| self.take_over(worker, tile, lease, now));
         };
-        let Some(worker) = idle.or(busy) else { return false };
+        let Some(worker) = idle.or(busy) else {
+            return false;
+        };
         if self.serve(worker, now) {
             return true;
         }
@@ -121,13 +137,17 @@ impl Machine {
 
     /// Whether a waiting tile may go to another worker: not while its job is paused, and no check.
     fn may_move_tile(&self, lease: LeaseId) -> bool {
-        let Some(l) = self.leases.get(&lease).filter(|l| !l.checks) else { return false };
+        let Some(l) = self.leases.get(&lease).filter(|l| !l.checks) else {
+            return false;
+        };
         self.jobs.get(&l.job).is_some_and(|job| self.allowed(job))
     }
 
     /// Asks the store to note that a job runs, before its first tile is leased.
     pub(super) fn start(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         if job.record.state.phase() == JobPhase::Queued && !job.pending {
             job.pending = true;
             self.effects.push(Effect::Run(Command::Start(id)));
@@ -136,31 +156,58 @@ impl Machine {
 
     /// Grants a worker the first tile that it may have; returns whether there was one.
     fn serve(&mut self, worker: WorkerId, now: Now) -> bool {
-        let Some(w) = self.workers.get(&worker) else { return false };
+        let Some(w) = self.workers.get(&worker) else {
+            return false;
+        };
         let busy = !w.leases.is_empty();
         let first = |profile: &Profile| {
             let pool = self.pools.of.get(profile)?;
             let (turn, &id) = pool.jobs.first()?;
             let job = self.jobs.get(&id)?;
             let may = job.record.state.phase() == JobPhase::Running && !job.pending;
-            (may && (!busy || pool.ready > pool.idle.len())).then(|| (turn.clone(), id, Arc::clone(profile)))
+            (may && (!busy || pool.ready > pool.idle.len()))
+                .then(|| (turn.clone(), id, Arc::clone(profile)))
         };
-        let Some((_, id, profile)) = w.profiles.iter().filter_map(first).min() else { return false };
-        let Some(tile) = self.jobs.get(&id).and_then(|j| j.ready.first().copied()) else { return false };
+        let Some((_, id, profile)) = w.profiles.iter().filter_map(first).min() else {
+            return false;
+        };
+        let Some(tile) = self.jobs.get(&id).and_then(|j| j.ready.first().copied()) else {
+            return false;
+        };
         self.grant(worker, id, tile, profile, now);
         true
     }
 
     /// Grants a tile to a worker.
-    pub(super) fn grant(&mut self, worker: WorkerId, id: JobId, tile: TileIndex, profile: Profile, now: Now) {
+    pub(super) fn grant(
+        &mut self,
+        worker: WorkerId,
+        id: JobId,
+        tile: TileIndex,
+        profile: Profile,
+        now: Now,
+    ) {
         let able = self.pools.of.get(&profile).map_or(1, |p| p.able);
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let lease = LeaseId { epoch: self.settings.epoch, number: self.next_lease };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let lease = LeaseId {
+            epoch: self.settings.epoch,
+            number: self.next_lease,
+        };
         self.next_lease += 1;
-        let name = self.workers.get(&worker).map(|w| Name::clone(&w.signature)).unwrap_or_default();
+        let name = self
+            .workers
+            .get(&worker)
+            .map(|w| Name::clone(&w.signature))
+            .unwrap_or_default();
         job.given.push((lease.number, tile, name));
         let grant = Grant {
-            lease: Lease { job: id, tile, id: lease },
+            lease: Lease {
+                job: id,
+                tile,
+                id: lease,
+            },
             spec: Arc::clone(&job.work.spec),
             packs: job.packs(tile),
             millis: job.millis_for_a_tile(able, now),
@@ -170,17 +217,31 @@ impl Machine {
             w.wants -= 1;
         }
         self.call_back(worker);
-        self.effects.push(Effect::Tell(worker, Order::Grant(Box::new(grant))));
+        self.effects
+            .push(Effect::Tell(worker, Order::Grant(Box::new(grant))));
         self.lease(lease, (id, tile), worker, profile, now);
         self.tell_watchers(id);
     }
 
     /// Gives an idle worker the waiting tile of a busy one.
     fn take_over(&mut self, worker: WorkerId, tile: TileIndex, lease: LeaseId, now: Now) -> bool {
-        let Some(l) = self.leases.get(&lease) else { return false };
+        let Some(l) = self.leases.get(&lease) else {
+            return false;
+        };
         let (job, profile) = (l.job, Arc::clone(&l.profile));
-        let from = self.workers.get(&l.worker).map(|w| w.name.clone()).unwrap_or_default();
-        self.note(Note::TakenOver(Lease { job, tile, id: lease }, from));
+        let from = self
+            .workers
+            .get(&l.worker)
+            .map(|w| w.name.clone())
+            .unwrap_or_default();
+        self.note(Note::TakenOver(
+            Lease {
+                job,
+                tile,
+                id: lease,
+            },
+            from,
+        ));
         self.end_lease(lease, true);
         self.grant(worker, job, tile, profile, now);
         true
@@ -191,7 +252,11 @@ impl Machine {
         if self.only.is_some() || self.paused_until.is_some() {
             return;
         }
-        let hungry = self.pools.of.iter().filter(|(_, p)| !p.hungry[0].is_empty() && p.ready == 0);
+        let hungry = self
+            .pools
+            .of
+            .iter()
+            .filter(|(_, p)| !p.hungry[0].is_empty() && p.ready == 0);
         let profiles: Vec<Profile> = hungry.map(|(profile, _)| Arc::clone(profile)).collect();
         for profile in profiles {
             // A few at a time: this looks at the longest leases one by one.
@@ -204,21 +269,36 @@ impl Machine {
     }
 
     fn double_one(&mut self, profile: &Profile, now: Now) -> bool {
-        let Some(pool) = self.pools.of.get(profile).filter(|p| p.waiting.is_empty()) else { return false };
-        let Some(&worker) = pool.hungry[0].first() else { return false };
-        let long = pool.begun.iter().take_while(|(begun, _)| begun + LEAST_STRAGGLE < now.ms);
-        let straggler = long.map(|(begun, id)| (now.ms - begun, id)).find_map(|(ran, id)| {
-            let l = self.leases.get(id)?;
-            let job = self.jobs.get(&l.job)?;
-            let alone = job.tiles[l.tile.at()].leases.iter().flatten().count() == 1;
-            let mean = job.millis / u64::from(job.done.max(1));
-            let long = job.done > 0 && ran > STRAGGLES * mean;
-            // Idle workers help a crew better than by computing its tile once more.
-            let alone = alone && !self.crews.contains_key(id);
-            let may = alone && long && !l.checks && l.gone.is_none() && job.work.spec.time_budget_ms == 0;
-            (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
-        });
-        let Some((job, tile, id)) = straggler else { return false };
+        let Some(pool) = self.pools.of.get(profile).filter(|p| p.waiting.is_empty()) else {
+            return false;
+        };
+        let Some(&worker) = pool.hungry[0].first() else {
+            return false;
+        };
+        let long = pool
+            .begun
+            .iter()
+            .take_while(|(begun, _)| begun + LEAST_STRAGGLE < now.ms);
+        let straggler = long
+            .map(|(begun, id)| (now.ms - begun, id))
+            .find_map(|(ran, id)| {
+                let l = self.leases.get(id)?;
+                let job = self.jobs.get(&l.job)?;
+                let alone = job.tiles[l.tile.at()].leases.iter().flatten().count() == 1;
+                let mean = job.millis / u64::from(job.done.max(1));
+                let long = job.done > 0 && ran > STRAGGLES * mean;
+                // Idle workers help a crew better than by computing its tile once more.
+                let alone = alone && !self.crews.contains_key(id);
+                let may = alone
+                    && long
+                    && !l.checks
+                    && l.gone.is_none()
+                    && job.work.spec.time_budget_ms == 0;
+                (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
+            });
+        let Some((job, tile, id)) = straggler else {
+            return false;
+        };
         self.note(Note::Doubled(Lease { job, tile, id }));
         self.grant(worker, job, tile, Arc::clone(profile), now);
         true
@@ -226,8 +306,12 @@ impl Machine {
 
     /// Ends the wait of a tile after a fault.
     pub(super) fn tile_timer(&mut self, id: JobId, tile: TileIndex, now: Now) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(t) = job.tiles.get_mut(tile.at()) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let Some(t) = job.tiles.get_mut(tile.at()) else {
+            return;
+        };
         if t.not_before.is_some_and(|until| until <= now.ms) {
             t.not_before = None;
             let is_orphan = t.missing > 0;

@@ -148,10 +148,18 @@ impl Job {
     ///
     /// # Errors
     /// The reason, when the specification or the plan was made by another version of the program.
-    pub(crate) fn of(record: JobRecord, spec: &v1::JobSpec, tiles: Vec<TileRecord>) -> Result<Self, String> {
+    pub(crate) fn of(
+        record: JobRecord,
+        spec: &v1::JobSpec,
+        tiles: Vec<TileRecord>,
+    ) -> Result<Self, String> {
         let parsed = JobSpec::from_proto(spec, None)
             .map_err(|e| e.to_string())
-            .and_then(|spec| spec.plan().map(|(l, p)| (spec, l, p)).map_err(|e| e.to_string()));
+            .and_then(|spec| {
+                spec.plan()
+                    .map(|(l, p)| (spec, l, p))
+                    .map_err(|e| e.to_string())
+            });
         let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
         if record.key != owned_key(spec.key(), &record.owner) {
             return Err("another version of this program began it; submit it again".to_owned());
@@ -163,7 +171,15 @@ impl Job {
                 plan.tiles.len()
             ));
         }
-        Ok(Self::with(record, Work { spec: Arc::new(spec), lattice, plan }, tiles))
+        Ok(Self::with(
+            record,
+            Work {
+                spec: Arc::new(spec),
+                lattice,
+                plan,
+            },
+            tiles,
+        ))
     }
 
     /// The job when an earlier epoch may have leased its tiles: they are leased again only after a while.
@@ -207,7 +223,10 @@ impl Job {
             millis: 0,
             running_cells: 0,
             running_samples: 0,
-            counts_from: LeaseId { epoch: Epoch(0), number: 0 },
+            counts_from: LeaseId {
+                epoch: Epoch(0),
+                number: 0,
+            },
             given: Vec::new(),
             unchecked: Vec::new(),
             spots: BTreeMap::new(),
@@ -242,13 +261,24 @@ impl Job {
             let (attempts, faults, judged) = (0, 0, false);
             let (leases, deaths) = ([None; 2], Vec::new());
             let (missing, not_before) = (0, None);
-            let tile =
-                Tile { output, leases, missing, attempts, deaths, faults, not_before, judged, hands, author };
+            let tile = Tile {
+                output,
+                leases,
+                missing,
+                attempts,
+                deaths,
+                faults,
+                not_before,
+                judged,
+                hands,
+                author,
+            };
             job.tiles.push(tile);
         }
         for at in 0..job.tiles.len() {
             let done = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
-            job.tiles[at].missing = job.work.plan.tiles[at].needs.iter().filter(done).count() as u32;
+            job.tiles[at].missing =
+                job.work.plan.tiles[at].needs.iter().filter(done).count() as u32;
         }
         job.ready = job.indices().filter(|t| job.is_ready(*t)).collect();
         job
@@ -278,8 +308,14 @@ impl Job {
     /// What is done and what there is, in cells, or in tiles while the number of cells is not known.
     fn done_of(&self) -> (u64, u64) {
         match self.cells_total {
-            0 => (u64::from(self.done + self.set_aside), self.tiles.len() as u64),
-            total => (self.cells.saturating_add(self.running_cells).min(total), total),
+            0 => (
+                u64::from(self.done + self.set_aside),
+                self.tiles.len() as u64,
+            ),
+            total => (
+                self.cells.saturating_add(self.running_cells).min(total),
+                total,
+            ),
         }
     }
 
@@ -305,12 +341,18 @@ impl Job {
 
     /// Whether the job is queued or running.
     pub(crate) fn runs(&self) -> bool {
-        matches!(self.record.state.phase(), JobPhase::Queued | JobPhase::Running)
+        matches!(
+            self.record.state.phase(),
+            JobPhase::Queued | JobPhase::Running
+        )
     }
 
     /// To whom a lease of this epoch was given on a tile, if it was.
     pub(super) fn given_to(&self, number: u64, tile: TileIndex) -> Option<Name> {
-        let at = self.given.binary_search_by_key(&number, |(number, ..)| *number).ok()?;
+        let at = self
+            .given
+            .binary_search_by_key(&number, |(number, ..)| *number)
+            .ok()?;
         let (_, of, name) = &self.given[at];
         (*of == tile).then(|| Name::clone(name))
     }
@@ -367,14 +409,18 @@ impl Job {
         let open = u64::from(self.open().max(1));
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
         // A tenth is kept for assembling the result.
-        let share = (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
+        let share =
+            (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
         (budget > 0).then(|| share.max(budget / (8 * self.tiles.len().max(1) as u64)))
     }
 
     /// Digests of the packs that `tile` needs, in the plan's order.
     pub(super) fn packs(&self, tile: TileIndex) -> Vec<Option<Digest>> {
         let needs = &self.work.plan.tiles[tile.at()].needs;
-        needs.iter().map(|n| self.tiles[*n as usize].output.digest()).collect()
+        needs
+            .iter()
+            .map(|n| self.tiles[*n as usize].output.digest())
+            .collect()
     }
 
     /// These tiles and all that were computed from them.
@@ -404,21 +450,30 @@ impl Job {
                 }
             }
         }
-        lost.into_iter().rev().filter(|t| self.tiles[t.at()].output == Output::Open).collect()
+        lost.into_iter()
+            .rev()
+            .filter(|t| self.tiles[t.at()].output == Output::Open)
+            .collect()
     }
 }
 
 /// The user and priority of a record.
 pub(super) fn whom(record: &JobRecord) -> For {
-    For { user: record.user.as_str().into(), priority: Reverse(record.priority) }
+    For {
+        user: record.user.as_str().into(),
+        priority: Reverse(record.priority),
+    }
 }
 
 /// View cells of a plan; 0 for an adaptive division, whose cells are not known before it is sampled.
 pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
     match job.division {
-        sightline_viewcells::Division::Grid(_) | sightline_viewcells::Division::Tree(_) => {
-            plan.tiles.iter().filter(|t| t.kind == TileKind::Leaf).map(|t| t.cells).sum()
-        }
+        sightline_viewcells::Division::Grid(_) | sightline_viewcells::Division::Tree(_) => plan
+            .tiles
+            .iter()
+            .filter(|t| t.kind == TileKind::Leaf)
+            .map(|t| t.cells)
+            .sum(),
         sightline_viewcells::Division::Adaptive { .. } => 0,
     }
 }

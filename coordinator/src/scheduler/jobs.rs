@@ -47,10 +47,16 @@ impl Machine {
     /// Sets open tiles aside that need a tile which was set aside. A late output can replace the stand-in of
     /// such a tile, and an invalidation then opens it again without the tile that it needs.
     pub(super) fn set_orphans_aside(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let aside = |tile: &TileIndex| matches!(job.tiles[tile.at()].output, Output::SetAside(_));
-        let lost = job.indices().filter(aside).flat_map(|tile| job.lost_with(tile));
-        let orphans: BTreeSet<TileIndex> = lost.filter(|tile| !job.tiles[tile.at()].judged).collect();
+        let lost = job
+            .indices()
+            .filter(aside)
+            .flat_map(|tile| job.lost_with(tile));
+        let orphans: BTreeSet<TileIndex> =
+            lost.filter(|tile| !job.tiles[tile.at()].judged).collect();
         let tiles: Vec<TileIndex> = orphans.into_iter().rev().collect();
         if tiles.is_empty() {
             return;
@@ -59,8 +65,16 @@ impl Machine {
             job.tiles[tile.at()].judged = true;
             job.look_at(*tile);
         }
-        let (work, reason) = (Arc::clone(&job.work), "a tile that it needs was set aside".to_owned());
-        self.effects.push(Effect::Run(Command::SetAside { job: id, work, tiles, reason }));
+        let (work, reason) = (
+            Arc::clone(&job.work),
+            "a tile that it needs was set aside".to_owned(),
+        );
+        self.effects.push(Effect::Run(Command::SetAside {
+            job: id,
+            work,
+            tiles,
+            reason,
+        }));
     }
 
     /// The first lease that counts of a job that is taken up: one that is still to be given where its tiles
@@ -68,8 +82,14 @@ impl Machine {
     fn first_that_counts(&self, job: &Job) -> LeaseId {
         let epoch = self.settings.epoch;
         match job.record.reopened_epoch {
-            Some(reopened) if reopened >= epoch.0 => LeaseId { epoch, number: self.next_lease },
-            Some(reopened) => LeaseId { epoch: Epoch(reopened + 1), number: 0 },
+            Some(reopened) if reopened >= epoch.0 => LeaseId {
+                epoch,
+                number: self.next_lease,
+            },
+            Some(reopened) => LeaseId {
+                epoch: Epoch(reopened + 1),
+                number: 0,
+            },
             None => job.counts_from,
         }
     }
@@ -86,7 +106,9 @@ impl Machine {
     /// After the grace the tiles that no worker has claimed are free.
     pub(super) fn end_grace(&mut self, id: JobId) {
         self.graces.remove(&id);
-        let Some(job) = self.jobs.get_mut(&id).filter(|j| j.grace) else { return };
+        let Some(job) = self.jobs.get_mut(&id).filter(|j| j.grace) else {
+            return;
+        };
         job.grace = false;
         let free = job.ready.len();
         self.note(Note::GraceOver(id, free));
@@ -96,18 +118,24 @@ impl Machine {
     /// Takes in a job's record as the store has it now.
     pub(super) fn job_changed(&mut self, record: JobRecord) {
         let id = record.id;
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let phase = record.state.phase();
         let priority = Reverse(record.priority);
         if job.whom.priority != priority {
             self.prioritize(id, priority);
         }
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         if job.record.state.phase() == JobPhase::Paused && phase != JobPhase::Paused {
             let user = User::clone(&job.whom.user);
             self.catch_up(&user);
         }
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         job.record = record;
         job.pending = false;
         if phase.ended() {
@@ -125,7 +153,9 @@ impl Machine {
 
     /// A job is paused: workers finish the tiles that they have begun, without help, and give others back.
     fn rest(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
         for lease in leases {
             match self.leases.get(&lease).is_some_and(|l| l.begun.is_some()) {
@@ -137,7 +167,11 @@ impl Machine {
 
     /// Takes the tiles of a paused job back from their workers.
     pub(super) fn stop_now(&mut self, id: JobId) {
-        if self.jobs.get(&id).is_some_and(|job| job.record.state.phase() == JobPhase::Paused) {
+        if self
+            .jobs
+            .get(&id)
+            .is_some_and(|job| job.record.state.phase() == JobPhase::Paused)
+        {
             self.revoke_job(id);
             self.tell_watchers(id);
         }
@@ -146,22 +180,33 @@ impl Machine {
     /// A job gets another priority: it and what it has move to other places of the lists.
     fn prioritize(&mut self, id: JobId, priority: Reverse<i32>) {
         self.unlist_job(id);
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
         leases.iter().for_each(|lease| self.stop_waiting(*lease));
         if let Some(job) = self.jobs.get_mut(&id) {
             job.whom.priority = priority;
         }
-        let held = |id: &LeaseId| self.leases.get(id).filter(|l| l.gone.is_none()).map(|l| l.worker);
+        let held = |id: &LeaseId| {
+            self.leases
+                .get(id)
+                .filter(|l| l.gone.is_none())
+                .map(|l| l.worker)
+        };
         let workers: Vec<WorkerId> = leases.iter().filter_map(held).collect();
         workers.into_iter().for_each(|worker| self.line_up(worker));
-        leases.into_iter().for_each(|lease| self.move_crew(lease, priority));
+        leases
+            .into_iter()
+            .for_each(|lease| self.move_crew(lease, priority));
     }
 
     /// The store has an output of a tile.
     pub(super) fn committed(&mut self, lease: &Lease, digest: Digest, stats: &TileStats, now: Now) {
         let worker = self.leases.get(&lease.id).map(|l| l.worker);
-        let Some(job) = self.jobs.get_mut(&lease.job) else { return };
+        let Some(job) = self.jobs.get_mut(&lease.job) else {
+            return;
+        };
         if lease.tile.at() >= job.tiles.len() {
             return;
         }
@@ -172,7 +217,9 @@ impl Machine {
             }
             self.draw(lease.job, lease.tile, digest);
         }
-        let Some(job) = self.jobs.get(&lease.job) else { return };
+        let Some(job) = self.jobs.get(&lease.job) else {
+            return;
+        };
         // The others that work on it need not go on; its own worker knows.
         for id in job.tiles[lease.tile.at()].leases.into_iter().flatten() {
             self.end_lease(id, id != lease.id);
@@ -187,7 +234,9 @@ impl Machine {
 
     /// A tile has a stand-in.
     pub(super) fn tile_set_aside(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         if tile.at() >= job.tiles.len() {
             return;
         }
@@ -231,7 +280,12 @@ impl Machine {
                 self.unjudge(id, tile, now);
                 id
             }
-            Command::CountDeath { job: id, tile, worker, .. } => {
+            Command::CountDeath {
+                job: id,
+                tile,
+                worker,
+                ..
+            } => {
                 self.recording.remove(&(id, tile, worker));
                 self.unjudge(id, tile, now);
                 id
@@ -258,8 +312,12 @@ impl Machine {
 
     /// Ends the wait for a verdict on a tile that is still open.
     fn unjudge(&mut self, id: JobId, tile: TileIndex, now: Now) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(t) = job.tiles.get_mut(tile.at()) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
+        let Some(t) = job.tiles.get_mut(tile.at()) else {
+            return;
+        };
         if std::mem::take(&mut t.judged) && t.output == Output::Open {
             self.back_off(id, tile, now);
         }

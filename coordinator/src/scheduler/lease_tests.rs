@@ -14,17 +14,45 @@ fn only_a_lease_that_was_given_counts() {
     let lease = b.grants(one)[0];
     assert!(b.machine.admit(&lease).unwrap().counts);
     let other = |tile, number| {
-        let id = LeaseId { epoch: Epoch(1), number };
-        Lease { job: lease.job, tile: TileIndex(tile), id }
+        let id = LeaseId {
+            epoch: Epoch(1),
+            number,
+        };
+        Lease {
+            job: lease.job,
+            tile: TileIndex(tile),
+            id,
+        }
     };
     let why = |l: Lease| b.machine.admit(&l).map(|a| a.counts);
     assert_eq!(why(other(1, lease.id.number)), Ok(false), "another tile");
-    assert_eq!(why(other(0, lease.id.number + 1)), Ok(false), "another number");
+    assert_eq!(
+        why(other(0, lease.id.number + 1)),
+        Ok(false),
+        "another number"
+    );
     assert_eq!(why(other(2, lease.id.number)), Err(NoTile::NoTile));
-    assert_eq!(why(Lease { job: JobId(9), ..lease }), Err(NoTile::NoJob(JobId(9))));
-    let future = Lease { id: LeaseId { epoch: Epoch(2), ..lease.id }, ..lease };
+    assert_eq!(
+        why(Lease {
+            job: JobId(9),
+            ..lease
+        }),
+        Err(NoTile::NoJob(JobId(9)))
+    );
+    let future = Lease {
+        id: LeaseId {
+            epoch: Epoch(2),
+            ..lease.id
+        },
+        ..lease
+    };
     assert_eq!(why(future), Ok(false));
-    assert!(b.try_join("b", 0, vec![other(1, 7), future]).unwrap().kept.is_empty());
+    assert!(
+        b.try_join("b", 0, vec![other(1, 7), future])
+            .unwrap()
+            .kept
+            .is_empty()
+    );
     // A late one counts.
     b.leave(one);
     b.wait(5);
@@ -36,8 +64,15 @@ fn only_a_lease_that_was_given_counts() {
 fn after_a_restart_tiles_are_leased_when_their_workers_had_time_to_come_back() {
     let mut b = with_grace(true);
     let lease = |number| {
-        let id = LeaseId { epoch: Epoch(1), number };
-        Lease { job: JobId(1), tile: TileIndex(1), id }
+        let id = LeaseId {
+            epoch: Epoch(1),
+            number,
+        };
+        Lease {
+            job: JobId(1),
+            tile: TileIndex(1),
+            id,
+        }
     };
     let new = b.join("new");
     b.want(new, 2);
@@ -47,11 +82,21 @@ fn after_a_restart_tiles_are_leased_when_their_workers_had_time_to_come_back() {
     let wrong = b.try_join("wrong", 6, vec![lease(4)]).unwrap();
     assert!(wrong.kept.is_empty(), "the first claim of a tile counts");
     for _ in 0..11 {
-        b.step(Event::Progressed(Progress { lease: lease(3), cells: 0, samples: 0 }));
+        b.step(Event::Progressed(Progress {
+            lease: lease(3),
+            cells: 0,
+            samples: 0,
+        }));
         b.wait(1);
     }
     assert_eq!(b.holders(), [Some(new), Some(old.worker)]);
-    assert!(b.try_join("late", 7, vec![lease(9)]).unwrap().kept.is_empty(), "the grace is over");
+    assert!(
+        b.try_join("late", 7, vec![lease(9)])
+            .unwrap()
+            .kept
+            .is_empty(),
+        "the grace is over"
+    );
 }
 
 #[test]
@@ -81,7 +126,11 @@ fn faults_wait_longer_each_time_and_count_from_the_twelfth_on() {
         }
         for _ in 0..90 {
             let second = b.grants(one)[1];
-            b.step(Event::Progressed(Progress { lease: second, cells: 0, samples: 0 }));
+            b.step(Event::Progressed(Progress {
+                lease: second,
+                cells: 0,
+                samples: 0,
+            }));
             b.wait(1);
             if b.holders()[0].is_some() {
                 break;
@@ -118,7 +167,11 @@ fn a_worker_that_fell_silent_gets_no_tile_before_it_asks_again() {
     b.want(goes, 1);
     let [lost, kept] = [b.grants(stands)[0], b.grants(goes)[0]];
     for samples in 0..11 {
-        b.step(Event::Progressed(Progress { lease: kept, cells: 0, samples }));
+        b.step(Event::Progressed(Progress {
+            lease: kept,
+            cells: 0,
+            samples,
+        }));
         b.wait(1);
     }
     // The silent worker is the only one without a tile, and wants one.

@@ -31,9 +31,13 @@ impl Machine {
         profile: Profile,
         now: Now,
     ) {
-        let Some(entry) = self.jobs.get_mut(&job) else { return };
+        let Some(entry) = self.jobs.get_mut(&job) else {
+            return;
+        };
         let slot = &mut entry.tiles[tile.at()].leases;
-        let Some(free) = slot.iter_mut().find(|l| l.is_none()) else { return };
+        let Some(free) = slot.iter_mut().find(|l| l.is_none()) else {
+            return;
+        };
         *free = Some(id);
         entry.running += 1;
         entry.look_at(tile);
@@ -68,7 +72,9 @@ impl Machine {
 
     /// Ends a lease; `revoke` says whether its worker has to be told.
     pub(super) fn end_lease(&mut self, id: LeaseId, revoke: bool) {
-        let Some(l) = self.leases.remove(&id) else { return };
+        let Some(l) = self.leases.remove(&id) else {
+            return;
+        };
         self.remove_missing(l.worker, id);
         self.timers.remove(&(l.timer, Timer::Lease(id)));
         self.crew_closed(id);
@@ -81,14 +87,22 @@ impl Machine {
             job.running_cells -= l.cells;
             job.running_samples -= l.samples;
             let tile = &mut job.tiles[l.tile.at()];
-            tile.leases.iter_mut().filter(|of| **of == Some(id)).for_each(|of| *of = None);
+            tile.leases
+                .iter_mut()
+                .filter(|of| **of == Some(id))
+                .for_each(|of| *of = None);
             job.look_at(l.tile);
             self.list_job(l.job);
         }
         if l.gone.is_none() {
             if revoke {
-                let lease = Lease { job: l.job, tile: l.tile, id };
-                self.effects.push(Effect::Tell(l.worker, Order::Revoke(lease)));
+                let lease = Lease {
+                    job: l.job,
+                    tile: l.tile,
+                    id,
+                };
+                self.effects
+                    .push(Effect::Tell(l.worker, Order::Revoke(lease)));
             }
             if let Some(w) = self.workers.get_mut(&l.worker) {
                 w.leases.remove(&id);
@@ -112,7 +126,9 @@ impl Machine {
 
     /// Takes a lease out of the list of waiting tiles.
     pub(super) fn stop_waiting(&mut self, id: LeaseId) {
-        let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits) else { return };
+        let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits) else {
+            return;
+        };
         l.waits = false;
         let (job, tile, profile) = (l.job, l.tile, Arc::clone(&l.profile));
         if let Some(place) = self.jobs.get(&job).map(super::job::Job::place) {
@@ -122,23 +138,34 @@ impl Machine {
 
     /// Takes back all leases of a job.
     pub(super) fn revoke_job(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let leases: Vec<LeaseId> = job.tiles.iter().flat_map(|t| t.leases).flatten().collect();
         leases.into_iter().for_each(|l| self.end_lease(l, true));
     }
 
     /// Notes which leases of a worker wait because it works on another tile.
     pub(super) fn line_up(&mut self, worker: WorkerId) {
-        let Some(w) = self.workers.get(&worker) else { return };
+        let Some(w) = self.workers.get(&worker) else {
+            return;
+        };
         let leases: Vec<LeaseId> = w.leases.iter().copied().collect();
         let begun = |id: &LeaseId| self.leases.get(id).is_some_and(|l| l.begun.is_some());
         let any = leases.iter().any(begun);
-        let waits: Vec<bool> = (0..).zip(&leases).map(|(i, l)| !begun(l) && (any || i > 0)).collect();
+        let waits: Vec<bool> = (0..)
+            .zip(&leases)
+            .map(|(i, l)| !begun(l) && (any || i > 0))
+            .collect();
         for (id, waits) in leases.into_iter().zip(waits) {
-            let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits != waits) else { continue };
+            let Some(l) = self.leases.get_mut(&id).filter(|l| l.waits != waits) else {
+                continue;
+            };
             l.waits = waits;
             let (job, tile, profile) = (l.job, l.tile, Arc::clone(&l.profile));
-            let Some(place) = self.jobs.get(&job).map(super::job::Job::place) else { continue };
+            let Some(place) = self.jobs.get(&job).map(super::job::Job::place) else {
+                continue;
+            };
             let pool = self.pools.at(&profile);
             if waits {
                 pool.waiting.insert((place, tile, id));
@@ -151,8 +178,13 @@ impl Machine {
     /// Renews a lease, if it is still the worker's.
     pub(super) fn progress(&mut self, progress: &Progress, now: Now) {
         let lease = progress.lease;
-        let (cells, samples) = (progress.cells.min(MOST_REPORTED), progress.samples.min(MOST_REPORTED));
-        let Some(l) = self.leases.get_mut(&lease.id) else { return };
+        let (cells, samples) = (
+            progress.cells.min(MOST_REPORTED),
+            progress.samples.min(MOST_REPORTED),
+        );
+        let Some(l) = self.leases.get_mut(&lease.id) else {
+            return;
+        };
         if (l.job, l.tile) != (lease.job, lease.tile) {
             return;
         }
@@ -186,15 +218,23 @@ impl Machine {
     /// The time after which a lease has ended, and why it then has.
     pub(super) fn deadline(&self, l: &Leased) -> (u64, &'static str) {
         let stuck = self.settings.stuck * if l.begun.is_some() { 1 } else { PREPARING };
-        let away = l.gone.map(|since| (since + AWAY, "its worker has gone and did not come back"));
+        let away = l
+            .gone
+            .map(|since| (since + AWAY, "its worker has gone and did not come back"));
         let ran_out = (l.renewed + self.settings.ttl, RAN_OUT);
         let stuck = (l.moved + stuck, "it makes no progress");
-        [away, Some(ran_out), Some(stuck)].into_iter().flatten().min_by_key(|(at, _)| *at).unwrap_or(ran_out)
+        [away, Some(ran_out), Some(stuck)]
+            .into_iter()
+            .flatten()
+            .min_by_key(|(at, _)| *at)
+            .unwrap_or(ran_out)
     }
 
     /// Sets a lease's timer to the first moment at which the lease has ended.
     pub(super) fn arm(&mut self, id: LeaseId) {
-        let Some(l) = self.leases.get(&id) else { return };
+        let Some(l) = self.leases.get(&id) else {
+            return;
+        };
         let (old, new) = (l.timer, (self.deadline(l).0 + 1).max(self.patient_until));
         self.timers.remove(&(old, Timer::Lease(id)));
         self.set_timer(new, Timer::Lease(id));
@@ -205,13 +245,19 @@ impl Machine {
 
     /// Takes a lease back if it has ended.
     pub(super) fn lease_timer(&mut self, id: LeaseId, now: Now) {
-        let Some(l) = self.leases.get(&id) else { return };
+        let Some(l) = self.leases.get(&id) else {
+            return;
+        };
         let (deadline, why) = self.deadline(l);
         if now.ms <= deadline || now.ms < self.patient_until {
             self.arm(id);
             return;
         }
-        let lease = Lease { job: l.job, tile: l.tile, id };
+        let lease = Lease {
+            job: l.job,
+            tile: l.tile,
+            id,
+        };
         let worker = l.worker;
         if let Some(w) = self.workers.get_mut(&worker) {
             // Otherwise it would be the first one to get the tile again, because it has none.
@@ -242,7 +288,11 @@ impl Machine {
     pub(super) fn claim(&mut self, worker: WorkerId, held: Vec<Lease>, now: Now) -> Vec<Lease> {
         let mut kept = BTreeSet::new();
         // What a quarantined worker holds does not count.
-        if self.workers.get(&worker).is_some_and(|w| self.quarantined.contains(&w.signature)) {
+        if self
+            .workers
+            .get(&worker)
+            .is_some_and(|w| self.quarantined.contains(&w.signature))
+        {
             return Vec::new();
         }
         for lease in held {
@@ -253,23 +303,27 @@ impl Machine {
                 JobState::Paused | JobState::Queued => same.is_some() || job.grace,
                 _ => false,
             };
-            let Some(job) = self.jobs.get(&lease.job).filter(goes_on) else { continue };
+            let Some(job) = self.jobs.get(&lease.job).filter(goes_on) else {
+                continue;
+            };
             if lease.tile.at() >= job.tiles.len() || kept.contains(&lease) {
                 continue;
             }
             let given_to = job.given_to(lease.id.number, lease.tile);
-            let is_own =
-                given_to.is_some() && given_to.as_ref() == self.workers.get(&worker).map(|w| &w.signature);
+            let is_own = given_to.is_some()
+                && given_to.as_ref() == self.workers.get(&worker).map(|w| &w.signature);
             let given = match lease.id.epoch.cmp(&self.settings.epoch) {
                 std::cmp::Ordering::Less => job.grace && same.is_none(),
                 std::cmp::Ordering::Equal => is_own,
                 std::cmp::Ordering::Greater => false,
             };
-            let theirs =
-                same == Some((lease.job, lease.tile)) && (is_own || lease.id.epoch < self.settings.epoch);
+            let theirs = same == Some((lease.job, lease.tile))
+                && (is_own || lease.id.epoch < self.settings.epoch);
             let counts = lease.id >= job.counts_from;
             let free = same.is_none() && given && counts && job.is_ready(lease.tile);
-            let Some(profile) = job.record.profile.as_deref().map(Profile::from) else { continue };
+            let Some(profile) = job.record.profile.as_deref().map(Profile::from) else {
+                continue;
+            };
             if !free && !theirs {
                 continue;
             }

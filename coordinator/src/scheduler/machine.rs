@@ -207,7 +207,10 @@ impl Machine {
     /// Takes an event in, and gives what is to be done.
     pub(crate) fn step(&mut self, event: Event, now: Now) -> Vec<Effect> {
         self.clock = self.clock.max(now.ms);
-        let now = Now { ms: self.clock, ..now };
+        let now = Now {
+            ms: self.clock,
+            ..now
+        };
         if let Some(worker) = self.speaker(&event) {
             self.hear(worker, now);
         }
@@ -223,7 +226,11 @@ impl Machine {
             Event::Progressed(progress) => self.progress(&progress, now),
             Event::Failed(worker, failure) => self.failed(worker, failure, now),
             Event::Timed(worker, job, times) => self.timed(worker, job, &times),
-            Event::Committed { lease, digest, stats } => self.committed(&lease, digest, &stats, now),
+            Event::Committed {
+                lease,
+                digest,
+                stats,
+            } => self.committed(&lease, digest, &stats, now),
             Event::Checked { lease, digest } => self.checked(&lease, digest),
             Event::Differed { lease, digest } => self.differed(&lease, digest),
             Event::Quarantined(name) => self.quarantine(&name),
@@ -231,10 +238,22 @@ impl Machine {
             Event::Swept => self.swept(),
             Event::DiskFull(lease) => self.disk_full(&lease, now),
             Event::Undelivered(worker, lease) => self.undelivered(worker, &lease, now),
-            Event::FailureRecorded { job, tile, on, reason, dead: None } => {
+            Event::FailureRecorded {
+                job,
+                tile,
+                on,
+                reason,
+                dead: None,
+            } => {
                 self.judge(job, tile, (on, false), &reason);
             }
-            Event::FailureRecorded { job, tile, on, reason, dead: Some(name) } => {
+            Event::FailureRecorded {
+                job,
+                tile,
+                on,
+                reason,
+                dead: Some(name),
+            } => {
                 self.death_recorded((job, tile, name), on, &reason);
             }
             Event::SetAside { job, tile, digest } => self.tile_set_aside(job, tile, digest),
@@ -354,21 +373,38 @@ impl Machine {
         let given = given.and_then(|number| job.given_to(number, lease.tile));
         // Who had a lease of an earlier epoch is known if it was claimed. Where results are checked, others
         // do not count: nobody could be asked for them.
-        let holder = self.leases.get(&lease.id).filter(|l| (l.job, l.tile) == (lease.job, lease.tile));
-        let holder = holder.and_then(|l| self.workers.get(&l.worker)).map(|w| Name::clone(&w.signature));
+        let holder = self
+            .leases
+            .get(&lease.id)
+            .filter(|l| (l.job, l.tile) == (lease.job, lease.tile));
+        let holder = holder
+            .and_then(|l| self.workers.get(&l.worker))
+            .map(|w| Name::clone(&w.signature));
         let trusting = self.settings.spot_check <= 0.0 && self.quarantined.is_empty();
         let earlier = lease.id.epoch < self.settings.epoch && (trusting || holder.is_some());
         let given = given.or(holder);
         let is_good = |name: &Name| !self.quarantined.contains(name);
         let is_clean = given.as_ref().is_none_or(is_good) && tile.hands.iter().all(is_good);
         let is_kept = (earlier || given.is_some()) && is_clean;
-        let counts = lease.id >= job.counts_from && (is_kept || matches!(tile.output, Output::Done(_)));
+        let counts =
+            lease.id >= job.counts_from && (is_kept || matches!(tile.output, Output::Done(_)));
         let worker = given.map(|name| name.to_string()).unwrap_or_default();
-        let helpers =
-            tile.hands.iter().filter(|name| ***name != *worker).map(|name| name.to_string()).collect();
+        let helpers = tile
+            .hands
+            .iter()
+            .filter(|name| ***name != *worker)
+            .map(|name| name.to_string())
+            .collect();
         let checks = self.leases.get(&lease.id).is_some_and(|l| l.checks);
         let profile = job.record.profile.clone().unwrap_or_default();
-        Ok(Admitted { work: Arc::clone(&job.work), worker, helpers, profile, checks, counts })
+        Ok(Admitted {
+            work: Arc::clone(&job.work),
+            worker,
+            helpers,
+            profile,
+            checks,
+            counts,
+        })
     }
 
     /// A job that has not ended.
@@ -401,7 +437,9 @@ impl Machine {
 
     /// Starts assembling a job whose tiles are complete.
     pub(super) fn assemble_if_complete(&mut self, id: JobId) {
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         let complete = job.open() == 0 && job.spots.is_empty();
         if job.runs() && !job.assembling && job.no_space_until.is_none() && complete {
             job.assembling = true;
@@ -411,8 +449,10 @@ impl Machine {
 
     /// Whether the job may be worked on.
     pub(super) fn allowed(&self, job: &Job) -> bool {
-        matches!(job.record.state.phase(), JobPhase::Queued | JobPhase::Running)
-            && self.only.is_none_or(|only| only == job.record.id)
+        matches!(
+            job.record.state.phase(),
+            JobPhase::Queued | JobPhase::Running
+        ) && self.only.is_none_or(|only| only == job.record.id)
     }
 }
 

@@ -56,7 +56,9 @@ pub(crate) use self::job::{Job, Output, Work, cells_total};
 pub(crate) use self::machine::{Admitted, Machine, NoTile, Settings};
 #[cfg(test)]
 pub(crate) use self::messages::Grant;
-pub(crate) use self::messages::{Introduction, Joined, NameTaken, Now, Order, ProfileTime, Progress};
+pub(crate) use self::messages::{
+    Introduction, Joined, NameTaken, Now, Order, ProfileTime, Progress,
+};
 pub(crate) use self::roster::{Held, Member};
 pub(crate) use self::standing::Standing;
 pub(crate) use self::team::Team;

@@ -86,7 +86,9 @@ impl Pool {
     /// The crew that is the next to get a helper, with the turn of its user, unless all have their most.
     pub(super) fn crew_with_room(&self) -> Option<(&Turn, (usize, LeaseId))> {
         let most = most_helpers(self.crew_count);
-        self.crews.first_that(|(helpers, _)| *helpers < most).map(|(turn, crew)| (turn, *crew))
+        self.crews
+            .first_that(|(helpers, _)| *helpers < most)
+            .map(|(turn, crew)| (turn, *crew))
     }
 
     fn is_empty(&self) -> bool {

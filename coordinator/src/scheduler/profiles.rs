@@ -18,8 +18,12 @@ impl Machine {
     /// Takes one step for the first job without a profile that a worker waits for; returns whether it did.
     pub(super) fn bind_one(&mut self, now: Now) -> bool {
         for choice in 0..self.pools.unbound.len() {
-            let Some(&worker) = self.pools.hungry[choice].first() else { continue };
-            let Some(&(_, id)) = self.pools.unbound[choice].first() else { continue };
+            let Some(&worker) = self.pools.hungry[choice].first() else {
+                continue;
+            };
+            let Some(&(_, id)) = self.pools.unbound[choice].first() else {
+                continue;
+            };
             self.bind(id, worker, now);
             return true;
         }
@@ -28,25 +32,40 @@ impl Machine {
 
     /// Binds a job, or parks it.
     fn bind(&mut self, id: JobId, worker: WorkerId, now: Now) {
-        let Some(choice) = self.jobs.get(&id).map(|j| j.work.spec.backend) else { return };
-        let Some(w) = self.workers.get(&worker) else { return };
+        let Some(choice) = self.jobs.get(&id).map(|j| j.work.spec.backend) else {
+            return;
+        };
+        let Some(w) = self.workers.get(&worker) else {
+            return;
+        };
         let profiles: Vec<String> = w.profiles.iter().map(|p| p.to_string()).collect();
         match profile_for(choice, &profiles) {
             Binding::Bind(_) => match self.candidates(choice).as_slice() {
                 [(only, _)] => self.ask_to_bind(id, only.clone()),
-                _ => self.park(id, Parked::Binding(now.ms + MORE_WORKERS), now.ms + MORE_WORKERS),
+                _ => self.park(
+                    id,
+                    Parked::Binding(now.ms + MORE_WORKERS),
+                    now.ms + MORE_WORKERS,
+                ),
             },
             Binding::Time => {
-                let Some(job) = self.jobs.get(&id) else { return };
+                let Some(job) = self.jobs.get(&id) else {
+                    return;
+                };
                 let spec = std::sync::Arc::clone(&job.work.spec);
-                self.effects.push(Effect::Tell(worker, Order::Time { job: id, spec }));
+                self.effects
+                    .push(Effect::Tell(worker, Order::Time { job: id, spec }));
                 if let Some(w) = self.workers.get_mut(&worker) {
                     w.timing.insert(id);
                 }
                 self.park(id, Parked::Timing(worker), now.ms + TIMING_LIMIT);
             }
             // Not reached: the lists of hungry workers hold those that can serve the choice.
-            Binding::Cannot => self.park(id, Parked::Binding(now.ms + MORE_WORKERS), now.ms + MORE_WORKERS),
+            Binding::Cannot => self.park(
+                id,
+                Parked::Binding(now.ms + MORE_WORKERS),
+                now.ms + MORE_WORKERS,
+            ),
         }
     }
 
@@ -94,7 +113,9 @@ impl Machine {
 
     /// A job has waited long enough: it is bound to the profile of most workers, or timed again.
     pub(super) fn parked_timer(&mut self, id: JobId, now: Now) {
-        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(job) = self.jobs.get(&id) else {
+            return;
+        };
         let (parked, choice) = (job.parked, job.work.spec.backend);
         match parked {
             Some(Parked::Timing(worker)) => {
@@ -105,7 +126,11 @@ impl Machine {
             }
             Some(Parked::Binding(until)) if until <= now.ms => {
                 self.unpark(id, Parked::Binding(until));
-                let most = self.candidates(choice).into_iter().rev().max_by_key(|(_, votes)| *votes);
+                let most = self
+                    .candidates(choice)
+                    .into_iter()
+                    .rev()
+                    .max_by_key(|(_, votes)| *votes);
                 if let Some((profile, _)) = most {
                     self.ask_to_bind(id, profile);
                 }
@@ -127,14 +152,18 @@ impl Machine {
     /// Binds a job to the fastest backend that a worker has timed for it. After [`MAX_ATTEMPTS`] timings
     /// without a usable backend the job fails.
     pub(super) fn timed(&mut self, number: WorkerId, id: JobId, times: &[ProfileTime]) {
-        let Some(worker) = self.workers.get_mut(&number) else { return };
+        let Some(worker) = self.workers.get_mut(&number) else {
+            return;
+        };
         // Only the worker that was told to time its backends counts, and only while the job is not bound.
         if !worker.timing.remove(&id) {
             return;
         }
         let offers = |t: &&ProfileTime| worker.profiles.iter().any(|p| **p == *t.profile);
         let offered: Vec<ProfileTime> = times.iter().filter(offers).cloned().collect();
-        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let Some(job) = self.jobs.get_mut(&id) else {
+            return;
+        };
         if job.parked != Some(Parked::Timing(number)) || job.record.profile.is_some() {
             return;
         }
@@ -142,8 +171,8 @@ impl Machine {
         let Some(fastest) = fastest(&offered) else {
             job.timing_faults += 1;
             if job.timing_faults >= MAX_ATTEMPTS {
-                let reason =
-                    "no backend of the workers that timed theirs can sample this scene; see their logs";
+                let reason = "no backend of the workers that timed theirs can sample this scene; see \
+                              their logs";
                 self.fail_job(id, reason.to_owned());
             }
             self.list_job(id);

@@ -44,7 +44,10 @@ pub(super) struct Queue<T> {
 
 impl<T> Default for Queue<T> {
     fn default() -> Self {
-        Self { of: BTreeMap::new(), turns: BTreeSet::new() }
+        Self {
+            of: BTreeMap::new(),
+            turns: BTreeSet::new(),
+        }
     }
 }
 
@@ -52,16 +55,20 @@ impl<T: Ord> Queue<T> {
     /// Adds something for a user whose share is `share`.
     pub(super) fn insert(&mut self, whom: &For, share: Share, thing: T) {
         self.of.entry(whom.clone()).or_default().insert(thing);
-        self.turns.insert((whom.priority, share, User::clone(&whom.user)));
+        self.turns
+            .insert((whom.priority, share, User::clone(&whom.user)));
     }
 
     /// Removes something.
     pub(super) fn remove(&mut self, whom: &For, share: Share, thing: &T) {
-        let Some(things) = self.of.get_mut(whom) else { return };
+        let Some(things) = self.of.get_mut(whom) else {
+            return;
+        };
         things.remove(thing);
         if things.is_empty() {
             self.of.remove(whom);
-            self.turns.remove(&(whom.priority, share, User::clone(&whom.user)));
+            self.turns
+                .remove(&(whom.priority, share, User::clone(&whom.user)));
         }
     }
 
@@ -73,7 +80,10 @@ impl<T: Ord> Queue<T> {
     /// The first thing of the first user whose first thing is as wanted.
     pub(super) fn first_that(&self, wanted: impl Fn(&T) -> bool) -> Option<(&Turn, &T)> {
         self.turns.iter().find_map(|turn| {
-            let whom = For { user: User::clone(&turn.2), priority: turn.0 };
+            let whom = For {
+                user: User::clone(&turn.2),
+                priority: turn.0,
+            };
             let first = self.of.get(&whom)?.first()?;
             wanted(first).then_some((turn, first))
         })
@@ -82,7 +92,10 @@ impl<T: Ord> Queue<T> {
     /// The last thing of the last user whose last thing is as wanted.
     pub(super) fn richest(&self, wanted: impl Fn(&T) -> bool) -> Option<(&Turn, &T)> {
         self.turns.iter().rev().find_map(|turn| {
-            let whom = For { user: User::clone(&turn.2), priority: turn.0 };
+            let whom = For {
+                user: User::clone(&turn.2),
+                priority: turn.0,
+            };
             let last = self.of.get(&whom)?.last()?;
             wanted(last).then_some((turn, last))
         })
@@ -91,13 +104,17 @@ impl<T: Ord> Queue<T> {
     /// Whether a thing is there.
     #[cfg(test)]
     pub(super) fn has(&self, whom: &For, thing: &T) -> bool {
-        self.of.get(whom).is_some_and(|things| things.contains(thing))
+        self.of
+            .get(whom)
+            .is_some_and(|things| things.contains(thing))
     }
 
     /// All things, by user and priority.
     #[cfg(test)]
     pub(super) fn all(&self) -> impl Iterator<Item = (&For, &T)> {
-        self.of.iter().flat_map(|(whom, things)| things.iter().map(move |thing| (whom, thing)))
+        self.of
+            .iter()
+            .flat_map(|(whom, things)| things.iter().map(move |thing| (whom, thing)))
     }
 
     /// Whether there is nothing.
@@ -107,8 +124,15 @@ impl<T: Ord> Queue<T> {
 
     /// The share of a user has changed.
     pub(super) fn reorder(&mut self, user: &User, from: Share, to: Share) {
-        let at = |priority| For { user: User::clone(user), priority: Reverse(priority) };
-        for whom in self.of.range(at(i32::MAX)..=at(i32::MIN)).map(|(whom, _)| whom) {
+        let at = |priority| For {
+            user: User::clone(user),
+            priority: Reverse(priority),
+        };
+        for whom in self
+            .of
+            .range(at(i32::MAX)..=at(i32::MIN))
+            .map(|(whom, _)| whom)
+        {
             self.turns.remove(&(whom.priority, from, User::clone(user)));
             self.turns.insert((whom.priority, to, User::clone(user)));
         }

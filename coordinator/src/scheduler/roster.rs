@@ -41,12 +41,16 @@ impl Machine {
             return Some("it is quarantined: its bytes were not those of others");
         }
         if self.suspects.contains_key(&worker.signature) {
-            return Some("another worker has computed other bytes; a third one has to say who is right");
+            return Some(
+                "another worker has computed other bytes; a third one has to say who is right",
+            );
         }
         if worker.silent {
             return Some("its last lease ran out, and it has said nothing since");
         }
-        worker.deaf_until.map(|_| "it does not read the orders that it is sent")
+        worker
+            .deaf_until
+            .map(|_| "it does not read the orders that it is sent")
     }
 
     /// Notes that a worker has said something.
@@ -88,7 +92,9 @@ fn held(lease: &Leased, now: Now) -> Held {
         job: lease.job,
         tile: lease.tile,
         has_begun: lease.begun.is_some(),
-        since: now.unix_ms.saturating_sub(now.ms.saturating_sub(lease.given)),
+        since: now
+            .unix_ms
+            .saturating_sub(now.ms.saturating_sub(lease.given)),
         cells: lease.cells,
         samples: lease.samples,
     }

@@ -10,7 +10,10 @@ use crate::ids::{JobId, Lease, WorkerId};
 use crate::store::{JobPhase, JobState, Store as _, TileStats};
 
 fn whom(user: &str, priority: i32) -> For {
-    For { user: user.into(), priority: Reverse(priority) }
+    For {
+        user: user.into(),
+        priority: Reverse(priority),
+    }
 }
 
 #[test]
@@ -23,7 +26,14 @@ fn a_queue_serves_priorities_then_users_then_ages() {
     queue.insert(&whom("greedy", 7), many, 9);
     let serve = |queue: &mut Queue<u32>, share: &dyn Fn(&User) -> Share| {
         let (turn, thing) = queue.first().map(|(turn, thing)| (turn.clone(), *thing))?;
-        queue.remove(&For { user: User::clone(&turn.2), priority: turn.0 }, share(&turn.2), &thing);
+        queue.remove(
+            &For {
+                user: User::clone(&turn.2),
+                priority: turn.0,
+            },
+            share(&turn.2),
+            &thing,
+        );
         Some(thing)
     };
     let share = |user: &User| if &**user == "greedy" { many } else { few };
@@ -39,9 +49,17 @@ fn served(b: &mut Bench, worker: WorkerId, tiles: usize, millis: u64) -> Vec<u64
     for _ in 0..tiles {
         b.want(worker, 1);
         let lease = *b.grants(worker).last().unwrap();
-        b.step(Event::Progressed(Progress { lease, cells: 0, samples: 1 }));
+        b.step(Event::Progressed(Progress {
+            lease,
+            cells: 0,
+            samples: 1,
+        }));
         b.ms += millis;
-        b.step(Event::Committed { lease, digest: [1; 32], stats: TileStats::default() });
+        b.step(Event::Committed {
+            lease,
+            digest: [1; 32],
+            stats: TileStats::default(),
+        });
         jobs.push(lease.job.0);
     }
     jobs
@@ -72,17 +90,29 @@ fn a_user_whose_job_was_paused_has_saved_nothing_up() {
     let paused = b.add(9, "a", 0, false);
     b.add(20, "b", 0, false);
     let worker = b.join("w");
-    b.set(paused, &[JobPhase::Queued, JobPhase::Running], JobState::Paused);
+    b.set(
+        paused,
+        &[JobPhase::Queued, JobPhase::Running],
+        JobState::Paused,
+    );
     assert_eq!(served(&mut b, worker, 4, 1000), [2; 4]);
     b.set(paused, &[JobPhase::Paused], JobState::Running);
     let turns = served(&mut b, worker, 6, 1000);
-    assert_eq!(turns.iter().filter(|job| **job == 1).count(), 3, "{turns:?}");
+    assert_eq!(
+        turns.iter().filter(|job| **job == 1).count(),
+        3,
+        "{turns:?}"
+    );
     // One who comes while the other is paused does not inherit that either.
     b.set(paused, &[JobPhase::Running], JobState::Paused);
     assert_eq!(served(&mut b, worker, 4, 1000), [2; 4]);
     b.add(9, "c", 0, false);
     let turns = served(&mut b, worker, 4, 1000);
-    assert_eq!(turns.iter().filter(|job| **job == 3).count(), 2, "{turns:?}");
+    assert_eq!(
+        turns.iter().filter(|job| **job == 3).count(),
+        2,
+        "{turns:?}"
+    );
 }
 
 #[test]
@@ -104,7 +134,14 @@ fn users_have_the_same_number_of_workers_however_many_jobs_they_have() {
 /// The lease whose holder a worker was last told to help.
 fn helps(b: &Bench, worker: WorkerId) -> Option<Lease> {
     let told = b.told.get(&worker)?.iter();
-    told.filter_map(|o| if let Order::Help(help) = o { Some(help.lease) } else { None }).next_back()
+    told.filter_map(|o| {
+        if let Order::Help(help) = o {
+            Some(help.lease)
+        } else {
+            None
+        }
+    })
+    .next_back()
 }
 
 #[test]
@@ -116,24 +153,41 @@ fn helpers_move_to_the_user_and_the_priority_that_come_first() {
     let first = b.grants(workers[0])[0];
     b.step(Event::CrewOpened(first));
     workers[1..].iter().for_each(|w| b.want(*w, 2));
-    let helping = |b: &Bench, of: Lease| workers.iter().filter(|w| helps(b, **w) == Some(of)).count();
+    let helping =
+        |b: &Bench, of: Lease| workers.iter().filter(|w| helps(b, **w) == Some(of)).count();
     assert_eq!(helping(&b, first), 5);
     // The second user's job gets a leader from among the helpers, and then half of all workers.
     let second_job = b.add(1, "b", 0, false);
-    let leader = *workers.iter().find(|w| b.grants(**w).iter().any(|l| l.job == second_job)).unwrap();
+    let leader = *workers
+        .iter()
+        .find(|w| b.grants(**w).iter().any(|l| l.job == second_job))
+        .unwrap();
     b.step(Event::Helped(leader, first));
     let second = *b.grants(leader).last().unwrap();
     b.step(Event::CrewOpened(second));
-    assert_eq!((helping(&b, first) - 1, helping(&b, second)), (2, 2), "the new leader helps nobody");
+    assert_eq!(
+        (helping(&b, first) - 1, helping(&b, second)),
+        (2, 2),
+        "the new leader helps nobody"
+    );
     // With a higher priority it gets them all.
     let record = b.store.prioritize_job(second_job, 1).unwrap();
     b.step(Event::JobChanged(Box::new(record)));
     assert_eq!((helping(&b, first) - 1, helping(&b, second)), (0, 4));
     // What a moved worker says about its earlier leader is no news.
-    let moved = *workers.iter().find(|w| helps(&b, **w) == Some(second)).unwrap();
+    let moved = *workers
+        .iter()
+        .find(|w| helps(&b, **w) == Some(second))
+        .unwrap();
     b.step(Event::Helped(moved, first));
     assert_eq!(b.machine.workers[&moved].helps, Some(second));
     b.step(Event::CrewClosed(second));
-    workers.iter().for_each(|w| b.step(Event::Helped(*w, second)));
-    assert_eq!(helping(&b, first), 5, "all come back, the other leader has not helped since");
+    workers
+        .iter()
+        .for_each(|w| b.step(Event::Helped(*w, second)));
+    assert_eq!(
+        helping(&b, first),
+        5,
+        "all come back, the other leader has not helped since"
+    );
 }

@@ -14,13 +14,22 @@ use crate::ids::JobId;
 impl Machine {
     /// The share of a user.
     pub(super) fn share(&self, user: &User) -> Share {
-        self.accounts.get(user).map(|account| account.share).unwrap_or_default()
+        self.accounts
+            .get(user)
+            .map(|account| account.share)
+            .unwrap_or_default()
     }
 
     /// A job of this user is open from now on.
     pub(super) fn open_account(&mut self, user: &User) {
         if !self.accounts.contains_key(user) {
-            self.accounts.insert(User::clone(user), Account { share: Share::default(), jobs: 0 });
+            self.accounts.insert(
+                User::clone(user),
+                Account {
+                    share: Share::default(),
+                    jobs: 0,
+                },
+            );
         }
         self.catch_up(user);
         if let Some(account) = self.accounts.get_mut(user) {
@@ -31,24 +40,36 @@ impl Machine {
     /// Before a job of this user can have workers again: if none could, the user counts as having used as
     /// little as the others that can.
     pub(super) fn catch_up(&mut self, user: &User) {
-        let running = self.jobs.values().filter(|job| job.runs() && job.open() > 0);
+        let running = self
+            .jobs
+            .values()
+            .filter(|job| job.runs() && job.open() > 0);
         let active: BTreeSet<&User> = running.map(|job| &job.whom.user).collect();
         if active.contains(user) {
             return;
         }
         let used = |user: &&User| self.accounts.get(*user).map(|a| a.share.used);
-        let Some(least) = active.iter().filter_map(used).min() else { return };
-        let Some(account) = self.accounts.get_mut(user).filter(|a| a.share.workers == 0) else { return };
+        let Some(least) = active.iter().filter_map(used).min() else {
+            return;
+        };
+        let Some(account) = self.accounts.get_mut(user).filter(|a| a.share.workers == 0) else {
+            return;
+        };
         // The user has no job in any list, so no list has to be ordered anew.
         account.share.used = account.share.used.max(least);
     }
 
     /// A job of this user has ended, and has neither leases nor helpers.
     pub(super) fn close_account(&mut self, user: &User) {
-        let Some(account) = self.accounts.get_mut(user) else { return };
+        let Some(account) = self.accounts.get_mut(user) else {
+            return;
+        };
         account.jobs -= 1;
         if account.jobs == 0 {
-            debug_assert!(account.share.workers == 0, "a user without jobs has workers");
+            debug_assert!(
+                account.share.workers == 0,
+                "a user without jobs has workers"
+            );
             self.accounts.remove(user);
         }
     }
@@ -69,8 +90,12 @@ impl Machine {
     }
 
     fn change_share(&mut self, job: JobId, change: impl FnOnce(&mut Share)) {
-        let Some(user) = self.jobs.get(&job).map(|job| User::clone(&job.whom.user)) else { return };
-        let Some(account) = self.accounts.get_mut(&user) else { return };
+        let Some(user) = self.jobs.get(&job).map(|job| User::clone(&job.whom.user)) else {
+            return;
+        };
+        let Some(account) = self.accounts.get_mut(&user) else {
+            return;
+        };
         let from = account.share;
         change(&mut account.share);
         let to = account.share;

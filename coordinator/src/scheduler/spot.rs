@@ -23,7 +23,11 @@ impl Answer {
     pub(super) fn guilty(&self, right: &BTreeSet<Name>) -> BTreeSet<Name> {
         let others: BTreeSet<Name> = self.workers.difference(right).cloned().collect();
         // Whoever has helped with the right one may have sent a wrong one alone.
-        if others.is_empty() { BTreeSet::from([Name::clone(&self.author)]) } else { others }
+        if others.is_empty() {
+            BTreeSet::from([Name::clone(&self.author)])
+        } else {
+            others
+        }
     }
 }
 
@@ -48,7 +52,11 @@ impl Spot {
     pub(super) fn of(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
         workers.insert(Name::clone(&author));
         Self {
-            answers: vec![Answer { digest, author, workers }],
+            answers: vec![Answer {
+                digest,
+                author,
+                workers,
+            }],
             tries: 0,
             not_before: 0,
             lonely_since: None,
@@ -64,7 +72,9 @@ impl Spot {
         let name = worker_name(signature);
         let is_same = |other: &Name| worker_name(other) == name;
         let has_hand = |answer: &Answer| !self.helpers_may && answer.workers.iter().any(is_same);
-        self.answers.iter().any(|answer| is_same(&answer.author) || has_hand(answer))
+        self.answers
+            .iter()
+            .any(|answer| is_same(&answer.author) || has_hand(answer))
     }
 
     pub(super) fn is_disputed(&self) -> bool {

@@ -24,8 +24,15 @@ impl Bench {
         if checks {
             self.step(Event::Checked { lease, digest });
         } else {
-            let stats = TileStats { worker: name.to_owned(), ..TileStats::default() };
-            self.step(Event::Committed { lease, digest, stats });
+            let stats = TileStats {
+                worker: name.to_owned(),
+                ..TileStats::default()
+            };
+            self.step(Event::Committed {
+                lease,
+                digest,
+                stats,
+            });
         }
         self.want(worker, 1);
     }
@@ -51,13 +58,21 @@ fn a_tile_is_computed_again_elsewhere_before_its_job_ends() {
     let ada = b.arrive("ada");
     b.deliver(ada, "ada", RIGHT);
     b.wait(1);
-    assert_eq!((b.grants(ada).len(), b.assembled.len()), (1, 0), "the same worker does not check itself");
+    assert_eq!(
+        (b.grants(ada).len(), b.assembled.len()),
+        (1, 0),
+        "the same worker does not check itself"
+    );
     let bob = b.arrive("bob");
     b.wait(1);
     assert_eq!(b.grants(bob).len(), 1);
     b.deliver(bob, "bob", RIGHT);
     assert_eq!(b.assembled, [job]);
-    assert!(matches!(&b.ran[..], [Command::Confirm { worker, .. }] if worker == "bob"), "{:?}", b.ran);
+    assert!(
+        matches!(&b.ran[..], [Command::Confirm { worker, .. }] if worker == "bob"),
+        "{:?}",
+        b.ran
+    );
 }
 
 #[test]
@@ -80,7 +95,11 @@ fn job_that_was_paused_with_checks_left_ends_after_it_was_resumed() {
 fn the_third_worker_decides_and_the_liar_is_quarantined() {
     for liar_first in [true, false] {
         let (mut b, _) = checked();
-        let (one, two) = if liar_first { (WRONG, RIGHT) } else { (RIGHT, WRONG) };
+        let (one, two) = if liar_first {
+            (WRONG, RIGHT)
+        } else {
+            (RIGHT, WRONG)
+        };
         let ada = b.arrive("ada");
         b.deliver(ada, "ada", one);
         let bob = b.arrive("bob");
@@ -89,12 +108,24 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         // Nobody knows who is right: neither gets anything, and the job waits for a third.
         b.add(1, "", 5, false);
         b.wait(30);
-        assert_eq!((b.grants(ada).len(), b.grants(bob).len(), b.assembled.len()), (1, 1, 0));
-        assert!(b.notes.iter().any(|note| matches!(note, Note::NeedsThird(..))));
+        assert_eq!(
+            (b.grants(ada).len(), b.grants(bob).len(), b.assembled.len()),
+            (1, 1, 0)
+        );
+        assert!(
+            b.notes
+                .iter()
+                .any(|note| matches!(note, Note::NeedsThird(..)))
+        );
         let cy = b.arrive("cy");
         b.wait(1);
         // What waits for a third one comes before other tiles, whatever their priority.
-        assert!(b.machine.admit(b.grants(cy).last().unwrap()).unwrap().checks);
+        assert!(
+            b.machine
+                .admit(b.grants(cy).last().unwrap())
+                .unwrap()
+                .checks
+        );
         b.deliver(cy, "cy", RIGHT);
         let liar = if liar_first { "ada" } else { "bob" };
         assert_eq!(b.condemned(), [liar]);
@@ -104,7 +135,11 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         b.wait(1);
         let (honest, other) = if liar_first { (bob, ada) } else { (ada, bob) };
         assert_eq!(b.grants(other).len(), 1, "a liar gets nothing");
-        assert_eq!(b.grants(honest).len() + b.grants(cy).len(), 3, "those who were right go on");
+        assert_eq!(
+            b.grants(honest).len() + b.grants(cy).len(),
+            3,
+            "those who were right go on"
+        );
     }
 }
 
@@ -117,7 +152,11 @@ fn a_lonely_worker_s_job_goes_on_unchecked_and_says_so() {
     assert!(b.assembled.is_empty());
     b.wait(5);
     assert_eq!(b.assembled, [job]);
-    assert!(b.notes.iter().any(|note| matches!(note, Note::Unchecked(..))));
+    assert!(
+        b.notes
+            .iter()
+            .any(|note| matches!(note, Note::Unchecked(..)))
+    );
 }
 
 #[test]
@@ -132,8 +171,15 @@ fn what_a_quarantined_worker_delivers_late_does_not_count() {
     b.want(ada, 1);
     assert_eq!(b.grants(ada).len(), 1);
     // Of leases of an earlier epoch it is not known who held them.
-    let id = crate::ids::LeaseId { epoch: crate::ids::Epoch(0), number: 1 };
-    let earlier = Lease { job, tile: TileIndex(1), id };
+    let id = crate::ids::LeaseId {
+        epoch: crate::ids::Epoch(0),
+        number: 1,
+    };
+    let earlier = Lease {
+        job,
+        tile: TileIndex(1),
+        id,
+    };
     assert!(!b.machine.admit(&earlier).unwrap().counts);
     b.step(Event::Released("ada".to_owned()));
     assert!(b.machine.admit(&lease).unwrap().counts && b.machine.admit(&earlier).unwrap().counts);
@@ -177,7 +223,11 @@ fn by_two() -> (Bench, WorkerId, WorkerId) {
     let lease = b.grants(ada)[0];
     b.step(Event::CrewOpened(lease));
     let bob = b.arrive("bob");
-    assert!(b.told[&bob].iter().any(|order| matches!(order, Order::Help(_))));
+    assert!(
+        b.told[&bob]
+            .iter()
+            .any(|order| matches!(order, Order::Help(_)))
+    );
     b.step(Event::CrewClosed(lease));
     b.step(Event::Helped(bob, lease));
     (b, ada, bob)

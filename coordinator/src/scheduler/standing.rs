@@ -30,7 +30,12 @@ impl Machine {
     /// How all tiles of a job stand, in their order; `None` for a job that has ended.
     pub(crate) fn standings(&self, id: JobId) -> Option<Vec<Standing>> {
         let job = self.jobs.get(&id)?;
-        Some(job.tiles.iter().map(|tile| self.standing(job, tile)).collect())
+        Some(
+            job.tiles
+                .iter()
+                .map(|tile| self.standing(job, tile))
+                .collect(),
+        )
     }
 
     /// Some tiles of a job that has not ended.
@@ -67,6 +72,9 @@ impl Machine {
     }
 
     fn leases_of<'a>(&'a self, tile: &'a Tile) -> impl Iterator<Item = &'a Leased> {
-        tile.leases.iter().flatten().filter_map(|id| self.leases.get(id))
+        tile.leases
+            .iter()
+            .flatten()
+            .filter_map(|id| self.leases.get(id))
     }
 }

@@ -21,13 +21,18 @@ pub(crate) struct Team {
 impl Machine {
     /// The first leased tiles of a job with their workers; none for a job that has ended.
     pub(crate) fn teams(&self, id: JobId) -> Vec<Team> {
-        let Some(job) = self.jobs.get(&id) else { return Vec::new() };
+        let Some(job) = self.jobs.get(&id) else {
+            return Vec::new();
+        };
         let name = |id: &WorkerId| self.workers.get(id).map(|w| w.name.clone());
         let leased = job.tiles.iter().flat_map(|tile| tile.leases).flatten();
         leased
             .filter_map(|id| {
                 let lease = self.leases.get(&id)?;
-                let helpers = self.crews.get(&id).map(|crew| crew.helpers.keys().filter_map(name).collect());
+                let helpers = self
+                    .crews
+                    .get(&id)
+                    .map(|crew| crew.helpers.keys().filter_map(name).collect());
                 Some(Team {
                     tile: lease.tile,
                     leader: name(&lease.worker)?,

@@ -27,12 +27,24 @@ pub(super) struct Bench {
     pub(super) assembled: Vec<JobId>,
 }
 
-const SETTINGS: Settings =
-    Settings { epoch: Epoch(1), ttl: 10_000, stuck: 600_000, seed: 1, spot_check: 0.0, spot_seed: 0 };
+const SETTINGS: Settings = Settings {
+    epoch: Epoch(1),
+    ttl: 10_000,
+    stuck: 600_000,
+    seed: 1,
+    spot_check: 0.0,
+    spot_seed: 0,
+};
 
 impl Bench {
     pub(super) fn step(&mut self, event: Event) {
-        for effect in self.machine.step(event, Now { ms: self.ms, unix_ms: self.ms }) {
+        for effect in self.machine.step(
+            event,
+            Now {
+                ms: self.ms,
+                unix_ms: self.ms,
+            },
+        ) {
             match effect {
                 Effect::Tell(worker, order) => self.told.entry(worker).or_default().push(order),
                 Effect::Joined(answer) => self.answer = Some(answer),
@@ -48,23 +60,56 @@ impl Bench {
                     let record = self.store.set_job_state(job, &from, running, 0).unwrap();
                     self.step(Event::JobChanged(Box::new(record)));
                 }
-                Effect::Run(Command::Fail { job, tile, worker, reason }) => {
+                Effect::Run(Command::Fail {
+                    job,
+                    tile,
+                    worker,
+                    reason,
+                }) => {
                     let on = self.store.fail_tile(job, tile, &worker, &reason).unwrap();
-                    self.step(Event::FailureRecorded { job, tile, on, reason, dead: None });
+                    self.step(Event::FailureRecorded {
+                        job,
+                        tile,
+                        on,
+                        reason,
+                        dead: None,
+                    });
                 }
                 Effect::Run(command @ Command::CountDeath { .. }) if self.holds_deaths => {
                     self.ran.push(command);
                 }
-                Effect::Run(Command::CountDeath { job, tile, worker, reason }) => {
+                Effect::Run(Command::CountDeath {
+                    job,
+                    tile,
+                    worker,
+                    reason,
+                }) => {
                     let on = self.store.count_death(job, tile, &worker, &reason).unwrap();
-                    self.step(Event::FailureRecorded { job, tile, on, reason, dead: Some(worker) });
+                    self.step(Event::FailureRecorded {
+                        job,
+                        tile,
+                        on,
+                        reason,
+                        dead: Some(worker),
+                    });
                 }
-                Effect::Run(Command::CancelDeath { job, tile, worker, reason }) => {
-                    self.store.forget_failure(job, tile, &worker, &reason).unwrap();
+                Effect::Run(Command::CancelDeath {
+                    job,
+                    tile,
+                    worker,
+                    reason,
+                }) => {
+                    self.store
+                        .forget_failure(job, tile, &worker, &reason)
+                        .unwrap();
                 }
                 Effect::Run(Command::SetAside { job, tiles, .. }) => {
                     for tile in tiles {
-                        self.step(Event::SetAside { job, tile, digest: [1; 32] });
+                        self.step(Event::SetAside {
+                            job,
+                            tile,
+                            digest: [1; 32],
+                        });
                     }
                 }
                 Effect::Run(command @ (Command::Confirm { .. } | Command::Quarantine { .. })) => {
@@ -83,7 +128,10 @@ impl Bench {
         instance: u64,
         held: Vec<Lease>,
     ) -> Result<Joined, NameTaken> {
-        let intro = Introduction { held, ..introduction(name, instance) };
+        let intro = Introduction {
+            held,
+            ..introduction(name, instance)
+        };
         self.step(Event::Joined(intro));
         self.answer.take().unwrap()
     }
@@ -118,16 +166,32 @@ impl Bench {
     /// The worker that has each tile of the first job.
     pub(super) fn holders(&self) -> Vec<Option<WorkerId>> {
         let tiles = self.machine.jobs.values().next().unwrap().tiles.iter();
-        tiles.map(|t| t.leases[0].map(|l| self.machine.leases[&l].worker)).collect()
+        tiles
+            .map(|t| t.leases[0].map(|l| self.machine.leases[&l].worker))
+            .collect()
     }
 
     pub(super) fn grants(&self, worker: WorkerId) -> Vec<Lease> {
         let told = self.told.get(&worker).into_iter().flatten();
-        told.filter_map(|o| if let Order::Grant(g) = o { Some(g.lease) } else { None }).collect()
+        told.filter_map(|o| {
+            if let Order::Grant(g) = o {
+                Some(g.lease)
+            } else {
+                None
+            }
+        })
+        .collect()
     }
 
     pub(super) fn fail(&mut self, worker: WorkerId, lease: Lease, infrastructure: bool) {
-        self.step(Event::Failed(worker, Failure { lease, reason: "no".to_owned(), infrastructure }));
+        self.step(Event::Failed(
+            worker,
+            Failure {
+                lease,
+                reason: "no".to_owned(),
+                infrastructure,
+            },
+        ));
     }
 }
 
@@ -156,7 +220,10 @@ pub(super) fn empty(epoch: u64) -> Bench {
         })
         .unwrap();
     Bench {
-        machine: Machine::new(Settings { epoch: Epoch(epoch), ..SETTINGS }),
+        machine: Machine::new(Settings {
+            epoch: Epoch(epoch),
+            ..SETTINGS
+        }),
         store,
         ms: 0,
         told: BTreeMap::new(),
@@ -184,7 +251,10 @@ impl Bench {
             scene: [7; 32],
             division: Division::Grid([tiles, 1, 1]),
             view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-            sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..SamplingParams::default() },
+            sampling: SamplingParams {
+                cell_to_cell: CellToCell::Off,
+                ..SamplingParams::default()
+            },
             backend: BackendChoice::Cpu,
             seed: self.store.jobs().unwrap().len() as u64,
             time_budget_ms: 0,
@@ -211,7 +281,9 @@ impl Bench {
         if ran {
             self.store.bind_profile(id, "cpu/test").unwrap();
             let from = [crate::store::JobPhase::Queued];
-            self.store.set_job_state(id, &from, crate::store::JobState::Running, 0).unwrap();
+            self.store
+                .set_job_state(id, &from, crate::store::JobState::Running, 0)
+                .unwrap();
         }
         let record = self.store.job(id).unwrap().unwrap();
         let job = Job::of(record, &spec.to_proto(), self.store.tiles(id).unwrap()).unwrap();
@@ -267,7 +339,10 @@ fn a_second_worker_of_one_name_is_refused_and_the_same_worker_may_reconnect() {
     let mut b = two_tiles();
     let first = b.try_join("a", 1, Vec::new()).unwrap().worker;
     let refused = b.try_join("a", 2, Vec::new()).unwrap_err();
-    assert!(refused.to_string().contains("give this one another --name"), "{refused}");
+    assert!(
+        refused.to_string().contains("give this one another --name"),
+        "{refused}"
+    );
     b.try_join("b", 2, Vec::new()).unwrap();
     // Workers that send no instance cannot be told from reconnecting ones.
     b.try_join("a", 0, Vec::new()).unwrap();
@@ -290,7 +365,11 @@ fn a_departure_says_whether_the_worker_had_drained() {
     let (one, two) = (b.join("a"), b.join("b"));
     b.step(Event::Drains(one));
     b.step(Event::Drains(one));
-    assert_eq!(b.notes, [Note::Draining("a".to_owned())], "it is news only once");
+    assert_eq!(
+        b.notes,
+        [Note::Draining("a".to_owned())],
+        "it is news only once"
+    );
     assert_eq!(b.leave(one), Departure::Drained);
     assert_eq!(b.leave(two), Departure::Lost);
 }
@@ -301,11 +380,19 @@ fn a_draining_worker_keeps_the_tile_that_it_has_begun_when_its_stream_breaks() {
     let (one, two) = (b.join("a"), b.join("b"));
     b.want(one, 1);
     let begun = b.grants(one)[0];
-    b.step(Event::Progressed(Progress { lease: begun, cells: 0, samples: 1 }));
+    b.step(Event::Progressed(Progress {
+        lease: begun,
+        cells: 0,
+        samples: 1,
+    }));
     b.step(Event::Drains(one));
     b.leave(one);
     b.want(two, 2);
-    assert!(b.grants(two).iter().all(|l| l.tile != begun.tile), "{:?}", b.grants(two));
+    assert!(
+        b.grants(two).iter().all(|l| l.tile != begun.tile),
+        "{:?}",
+        b.grants(two)
+    );
     assert_eq!(b.try_join("a", 0, vec![begun]).unwrap().kept, [begun]);
     // One that it had not begun goes to the next worker at once.
     let mut b = two_tiles();
@@ -331,11 +418,16 @@ fn a_lease_ends_two_seconds_after_its_workers_stream_unless_the_worker_returns()
     let two = b.try_join("a", 0, vec![lease]).unwrap().worker;
     b.wait(9);
     assert_eq!(b.holders()[0], Some(two));
-    b.step(Event::Progressed(Progress { lease, cells: 0, samples: 0 }));
+    b.step(Event::Progressed(Progress {
+        lease,
+        cells: 0,
+        samples: 0,
+    }));
     b.leave(two);
     b.wait(2);
     assert_eq!(b.holders()[0], None);
-    let why = |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not come back"));
+    let why =
+        |n: &Note| matches!(n, Note::TakenBack(_, _, why) if why.contains("did not come back"));
     assert!(b.notes.iter().any(why), "{:?}", b.notes);
     // A worker that comes later still has its tile when nobody else has.
     assert_eq!(b.try_join("a", 0, vec![lease]).unwrap().kept, [lease]);
@@ -348,15 +440,27 @@ fn a_tile_without_progress_is_taken_back() {
     b.want(one, 1);
     let lease = b.grants(one)[0];
     for _ in 0..599 {
-        b.step(Event::Progressed(Progress { lease, cells: 0, samples: 1 }));
+        b.step(Event::Progressed(Progress {
+            lease,
+            cells: 0,
+            samples: 1,
+        }));
         b.wait(1);
     }
     assert_eq!(b.holders()[0], Some(one));
     for _ in 0..3 {
-        b.step(Event::Progressed(Progress { lease, cells: 0, samples: 1 }));
+        b.step(Event::Progressed(Progress {
+            lease,
+            cells: 0,
+            samples: 1,
+        }));
         b.wait(1);
     }
-    assert!(b.notes.contains(&Note::TakenBack(lease, Some("a".to_owned()), "it makes no progress")));
+    assert!(b.notes.contains(&Note::TakenBack(
+        lease,
+        Some("a".to_owned()),
+        "it makes no progress"
+    )));
 }
 
 #[test]
@@ -369,7 +473,11 @@ fn a_standstill_of_the_coordinator_ends_no_lease() {
     b.ms += 60_000;
     b.step(Event::Tick);
     assert_eq!(b.holders()[0], Some(one));
-    b.step(Event::Progressed(Progress { lease, cells: 0, samples: 0 }));
+    b.step(Event::Progressed(Progress {
+        lease,
+        cells: 0,
+        samples: 0,
+    }));
     b.wait(5);
     assert_eq!(b.holders()[0], Some(one));
 }
@@ -378,13 +486,19 @@ fn a_standstill_of_the_coordinator_ends_no_lease() {
 fn the_profile_of_most_workers_is_chosen() {
     let mut b = two_tiles();
     for (name, profile) in [("a", "cpu/rare"), ("b", "cpu/common"), ("c", "cpu/common")] {
-        let intro = Introduction { profiles: vec![profile.to_owned()], ..introduction(name, 0) };
+        let intro = Introduction {
+            profiles: vec![profile.to_owned()],
+            ..introduction(name, 0)
+        };
         b.step(Event::Joined(intro));
     }
     b.want(WorkerId(1), 1);
     assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile, None);
     b.wait(1);
-    assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile.as_deref(), Some("cpu/common"));
+    assert_eq!(
+        b.machine.job(JobId(1)).unwrap().record.profile.as_deref(),
+        Some("cpu/common")
+    );
     b.want(WorkerId(3), 1);
     assert_eq!(b.holders()[0], Some(WorkerId(3)));
 }
@@ -396,17 +510,39 @@ fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
     b.want(one, 1);
     b.want(two, 1);
     let (slow, fast) = (b.grants(one)[0], b.grants(two)[0]);
-    b.step(Event::Progressed(Progress { lease: slow, cells: 0, samples: 1 }));
-    let stats = crate::store::TileStats { millis: 2000, ..Default::default() };
-    b.step(Event::Committed { lease: fast, digest: [2; 32], stats: stats.clone() });
+    b.step(Event::Progressed(Progress {
+        lease: slow,
+        cells: 0,
+        samples: 1,
+    }));
+    let stats = crate::store::TileStats {
+        millis: 2000,
+        ..Default::default()
+    };
+    b.step(Event::Committed {
+        lease: fast,
+        digest: [2; 32],
+        stats: stats.clone(),
+    });
     b.want(two, 1);
     for samples in 2..9 {
-        b.step(Event::Progressed(Progress { lease: slow, cells: 0, samples }));
+        b.step(Event::Progressed(Progress {
+            lease: slow,
+            cells: 0,
+            samples,
+        }));
         b.wait(1);
     }
     let doubled = b.grants(two)[1];
     assert_eq!(doubled.tile, slow.tile);
-    b.step(Event::Committed { lease: doubled, digest: [3; 32], stats });
+    b.step(Event::Committed {
+        lease: doubled,
+        digest: [3; 32],
+        stats,
+    });
     assert_eq!(b.told[&one].last(), Some(&Order::Revoke(slow)));
-    assert!(b.machine.admit(&slow).unwrap().counts, "a late output is compared with the first");
+    assert!(
+        b.machine.admit(&slow).unwrap().counts,
+        "a late output is compared with the first"
+    );
 }

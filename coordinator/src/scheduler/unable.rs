@@ -20,22 +20,40 @@ pub(crate) struct Unable {
 impl Machine {
     /// The connected workers that cannot work on a job, by reason; none for a job that has ended.
     pub(crate) fn unable(&self, id: JobId) -> Vec<Unable> {
-        let Some(job) = self.jobs.get(&id) else { return Vec::new() };
+        let Some(job) = self.jobs.get(&id) else {
+            return Vec::new();
+        };
         let choice = Self::choice_of(job);
         let mut by_reason: BTreeMap<String, (u32, Vec<String>)> = BTreeMap::new();
         for worker in self.workers.values() {
-            let Some(reason) = self.why(worker, job.record.profile.as_deref(), choice) else { continue };
+            let Some(reason) = self.why(worker, job.record.profile.as_deref(), choice) else {
+                continue;
+            };
             let (workers, names) = by_reason.entry(reason).or_default();
             *workers += 1;
             if names.len() < MOST_NAMES {
                 names.push(worker.name.clone());
             }
         }
-        by_reason.into_iter().map(|(reason, (workers, names))| Unable { reason, workers, names }).collect()
+        by_reason
+            .into_iter()
+            .map(|(reason, (workers, names))| Unable {
+                reason,
+                workers,
+                names,
+            })
+            .collect()
     }
 
     fn why(&self, worker: &Worker, profile: Option<&str>, choice: usize) -> Option<String> {
-        let has = || worker.profiles.iter().map(|p| &**p).collect::<Vec<_>>().join(", ");
+        let has = || {
+            worker
+                .profiles
+                .iter()
+                .map(|p| &**p)
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
         match profile {
             Some(profile) if !worker.profiles.contains(profile) => {
                 return Some(format!(
@@ -44,7 +62,10 @@ impl Machine {
                 ));
             }
             None if !worker.serves[choice] => {
-                return Some(format!("it has no backend that the job asks for; it has {}", has()));
+                return Some(format!(
+                    "it has no backend that the job asks for; it has {}",
+                    has()
+                ));
             }
             _ => {}
         }

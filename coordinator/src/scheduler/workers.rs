@@ -22,7 +22,15 @@ impl Machine {
     /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
     /// stream; workers that send no instance are all accepted.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
-        let Introduction { name, signature, version, instance, profiles, held, helps } = intro;
+        let Introduction {
+            name,
+            signature,
+            version,
+            instance,
+            profiles,
+            held,
+            helps,
+        } = intro;
         if instance != 0 {
             if let Some(other) = self.names.get(&name).and_then(|id| self.workers.get(id))
                 && other.instance != instance
@@ -44,7 +52,9 @@ impl Machine {
         }
         let serves = |choice| !matches!(profile_for(choice, &profiles), Binding::Cannot);
         let mut of_choice = [false; CHOICES];
-        BackendChoice::ALL.iter().for_each(|choice| of_choice[index(*choice)] = serves(*choice));
+        BackendChoice::ALL
+            .iter()
+            .for_each(|choice| of_choice[index(*choice)] = serves(*choice));
         let alone = alone(&profiles);
         let worker = Worker {
             name,
@@ -75,7 +85,11 @@ impl Machine {
         let kept = self.claim(number, held, now);
         self.list_worker(number);
         let epoch = self.settings.epoch;
-        self.effects.push(Effect::Joined(Ok(Joined { worker: number, epoch, kept })));
+        self.effects.push(Effect::Joined(Ok(Joined {
+            worker: number,
+            epoch,
+            kept,
+        })));
     }
 
     /// Removes a worker whose stream has ended.
@@ -87,7 +101,9 @@ impl Machine {
     /// Removes a worker. Its leases live a little longer, so that it can return for them; of a worker that
     /// was draining, only the leases of tiles that it has begun. `is_missing`: it has not returned yet.
     fn remove_worker(&mut self, id: WorkerId, now: Now, is_missing: bool) -> Departure {
-        let Some(mut w) = self.workers.remove(&id) else { return Departure::Lost };
+        let Some(mut w) = self.workers.remove(&id) else {
+            return Departure::Lost;
+        };
         if is_missing && !w.draining {
             self.miss(id, &w);
         }
@@ -110,7 +126,9 @@ impl Machine {
         }
         let leases: Vec<LeaseId> = std::mem::take(&mut w.leases).into_iter().collect();
         for lease in leases {
-            let Some(l) = self.leases.get_mut(&lease) else { continue };
+            let Some(l) = self.leases.get_mut(&lease) else {
+                continue;
+            };
             l.gone = Some(now.ms);
             let begun = l.begun.is_some();
             self.stop_waiting(lease);
@@ -126,7 +144,11 @@ impl Machine {
         for job in timed {
             self.unpark(job, Parked::Timing(id));
         }
-        if w.draining { Departure::Drained } else { Departure::Lost }
+        if w.draining {
+            Departure::Drained
+        } else {
+            Departure::Lost
+        }
     }
 
     /// Notes that a worker wants this many more tiles.
@@ -142,7 +164,9 @@ impl Machine {
 
     /// Notes that a worker takes no more tiles.
     pub(super) fn drain(&mut self, worker: WorkerId) {
-        let Some(w) = self.workers.get_mut(&worker) else { return };
+        let Some(w) = self.workers.get_mut(&worker) else {
+            return;
+        };
         w.wants = 0;
         if !std::mem::replace(&mut w.draining, true) {
             let name = w.name.clone();
@@ -162,8 +186,13 @@ impl Machine {
 
     /// Puts a worker into the lists in which it belongs now.
     pub(super) fn list_worker(&mut self, id: WorkerId) {
-        let Some(w) = self.workers.get(&id) else { return };
-        let (idle, fit) = (w.leases.is_empty(), !w.draining && !self.is_barred(&w.signature));
+        let Some(w) = self.workers.get(&id) else {
+            return;
+        };
+        let (idle, fit) = (
+            w.leases.is_empty(),
+            !w.draining && !self.is_barred(&w.signature),
+        );
         let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];
@@ -173,7 +202,9 @@ impl Machine {
         for profile in &w.profiles {
             let pool = self.pools.at(profile);
             let [without, with] = &mut pool.hungry;
-            for (list, belongs) in [&mut pool.idle, without, with, &mut pool.helpers].into_iter().zip(belongs)
+            for (list, belongs) in [&mut pool.idle, without, with, &mut pool.helpers]
+                .into_iter()
+                .zip(belongs)
             {
                 set(list, id, belongs);
             }

@@ -64,18 +64,30 @@ async fn served_with(quotas: &[&str], limits: ConnectionLimits) -> Served {
     let mut config = Config::new(folder.path().to_owned());
     let quotas: Vec<String> = quotas.iter().map(|text| (*text).to_owned()).collect();
     config.quotas = Quotas::parse(&quotas).unwrap();
-    let c = tokio::task::spawn_blocking(move || Coordinator::open(config)).await.unwrap().unwrap();
+    let c = tokio::task::spawn_blocking(move || Coordinator::open(config))
+        .await
+        .unwrap()
+        .unwrap();
     let connections = Connections::new(limits);
     let listen = || Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections);
     let (calls, pages) = (listen().await.unwrap(), listen().await.unwrap());
-    let (url, at) = (format!("http://{}", calls.local_addr().unwrap()), pages.local_addr().unwrap());
+    let (url, at) = (
+        format!("http://{}", calls.local_addr().unwrap()),
+        pages.local_addr().unwrap(),
+    );
     let (first, second) = (Arc::clone(&c), Arc::clone(&c));
     let tasks = vec![
         tokio::spawn(async move { drop(serve(first, calls, None, std::future::pending()).await) }),
         tokio::spawn(async move { drop(serve_http(second, pages, None).await) }),
     ];
     let channel = Channel::from_shared(url).unwrap().connect().await.unwrap();
-    Served { c, channel, pages: at, tasks, _folder: folder }
+    Served {
+        c,
+        channel,
+        pages: at,
+        tasks,
+        _folder: folder,
+    }
 }
 
 /// Creates a stream of messages that stays open.
@@ -89,8 +101,15 @@ async fn open<M>(messages: Vec<M>) -> (mpsc::Sender<M>, ReceiverStream<M>) {
 
 fn header(lease: v1::Lease, bytes: u64) -> v1::ResultPart {
     let digest = vec![7; 32];
-    let header = v1::ResultHeader { lease: Some(lease), digest, bytes, ..Default::default() };
-    v1::ResultPart { part: Some(v1::result_part::Part::Header(header)) }
+    let header = v1::ResultHeader {
+        lease: Some(lease),
+        digest,
+        bytes,
+        ..Default::default()
+    };
+    v1::ResultPart {
+        part: Some(v1::result_part::Part::Header(header)),
+    }
 }
 
 fn piece(total: u64) -> v1::Chunk {
@@ -100,7 +119,9 @@ fn piece(total: u64) -> v1::Chunk {
 /// Sends a result whose stream stays open, and returns the answer.
 async fn put_result(served: &Served, parts: Vec<v1::ResultPart>) -> Result<(), Status> {
     let (_open, parts) = open(parts).await;
-    let answer = WorkersClient::new(served.channel.clone()).put_result(parts).await;
+    let answer = WorkersClient::new(served.channel.clone())
+        .put_result(parts)
+        .await;
     answer.map(|_| ())
 }
 
@@ -112,21 +133,56 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
         let scene = c.take_scene(&triangle()).unwrap();
         two_tiles(&c, scene);
         let (_, mut orders) = join(&c, "ada");
-        let Order::Grant(grant) = orders.try_recv().unwrap() else { panic!("no tile") };
+        let Order::Grant(grant) = orders.try_recv().unwrap() else {
+            panic!("no tile")
+        };
         grant.lease
     });
     let given = grant.await.unwrap();
     let lease = served.c.lease_tags.to_wire(&given, Use::Hold);
-    let piece = |total| v1::ResultPart { part: Some(v1::result_part::Part::Chunk(piece(total))) };
+    let piece = |total| v1::ResultPart {
+        part: Some(v1::result_part::Part::Chunk(piece(total))),
+    };
     let cases = [
         // A lease that was never given, of a tile, of a job that there is not.
-        (vec![header(v1::Lease { lease: lease.lease + 77, ..lease }, 9)], Code::FailedPrecondition),
-        (vec![header(v1::Lease { job: 99, ..lease }, 9)], Code::FailedPrecondition),
-        (vec![header(v1::Lease { tile: 99, ..lease }, 9)], Code::FailedPrecondition),
+        (
+            vec![header(
+                v1::Lease {
+                    lease: lease.lease + 77,
+                    ..lease
+                },
+                9,
+            )],
+            Code::FailedPrecondition,
+        ),
+        (
+            vec![header(v1::Lease { job: 99, ..lease }, 9)],
+            Code::FailedPrecondition,
+        ),
+        (
+            vec![header(v1::Lease { tile: 99, ..lease }, 9)],
+            Code::FailedPrecondition,
+        ),
         // Made up: for any start of the coordinator, with another tag, with the tag of a helper.
-        (vec![header(v1::Lease { epoch: 0, lease: 0, ..lease }, 9)], Code::FailedPrecondition),
-        (vec![header(v1::Lease { tag: 0, ..lease }, 9)], Code::FailedPrecondition),
-        (vec![header(served.c.lease_tags.to_wire(&given, Use::Help), 9)], Code::FailedPrecondition),
+        (
+            vec![header(
+                v1::Lease {
+                    epoch: 0,
+                    lease: 0,
+                    ..lease
+                },
+                9,
+            )],
+            Code::FailedPrecondition,
+        ),
+        (
+            vec![header(v1::Lease { tag: 0, ..lease }, 9)],
+            Code::FailedPrecondition,
+        ),
+        (
+            vec![header(served.c.lease_tags.to_wire(&given, Use::Help), 9)],
+            Code::FailedPrecondition,
+        ),
         // More than an output of two cells and one triangle can have.
         (vec![header(lease, 1 << 30)], Code::InvalidArgument),
         // Another length than the header has announced, in either direction.
@@ -139,10 +195,18 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
         assert_eq!(refused.code(), code, "{refused}");
         assert_eq!(served.c.unfinished.all(), 0);
     }
-    let refused = put_result(&served, vec![header(lease, 1 << 30)]).await.unwrap_err();
-    let most = refused.message().rsplit(' ').next().and_then(|most| most.parse().ok());
+    let refused = put_result(&served, vec![header(lease, 1 << 30)])
+        .await
+        .unwrap_err();
+    let most = refused
+        .message()
+        .rsplit(' ')
+        .next()
+        .and_then(|most| most.parse().ok());
     let most: u64 = most.unwrap_or_else(|| panic!("{refused}"));
-    let longer = put_result(&served, vec![header(lease, most + 1)]).await.unwrap_err();
+    let longer = put_result(&served, vec![header(lease, most + 1)])
+        .await
+        .unwrap_err();
     assert_eq!(longer.code(), Code::InvalidArgument, "{longer}");
     // A result under a good lease is awaited, the longest one, too.
     for bytes in [100, most] {
@@ -160,14 +224,29 @@ async fn scene_file_is_refused_at_a_header_with_many_rules_or_a_long_text() {
     use v1::scene_file_part::Part;
     let served = served(&[]).await;
     let long = "x".repeat(1025);
-    let rule = |kind: &str, glob: &str| v1::KindRule { kind: kind.to_owned(), glob: glob.to_owned() };
+    let rule = |kind: &str, glob: &str| v1::KindRule {
+        kind: kind.to_owned(),
+        glob: glob.to_owned(),
+    };
     let headers = [
-        v1::SceneFileHeader { name: "a.obj".to_owned(), rules: vec![rule("opaque", "a"); 257] },
-        v1::SceneFileHeader { name: "a.obj".to_owned(), rules: vec![rule("opaque", &long)] },
-        v1::SceneFileHeader { name: long.clone(), rules: Vec::new() },
+        v1::SceneFileHeader {
+            name: "a.obj".to_owned(),
+            rules: vec![rule("opaque", "a"); 257],
+        },
+        v1::SceneFileHeader {
+            name: "a.obj".to_owned(),
+            rules: vec![rule("opaque", &long)],
+        },
+        v1::SceneFileHeader {
+            name: long.clone(),
+            rules: Vec::new(),
+        },
     ];
     for header in headers {
-        let (_open, parts) = open(vec![v1::SceneFilePart { part: Some(Part::Header(header)) }]).await;
+        let (_open, parts) = open(vec![v1::SceneFilePart {
+            part: Some(Part::Header(header)),
+        }])
+        .await;
         let mut calls = JobsClient::new(served.channel.clone());
         let refused = tokio::time::timeout(LIMIT, calls.put_scene_file(parts)).await;
         let refused = refused.expect("the call waits for its end").unwrap_err();
@@ -176,7 +255,11 @@ async fn scene_file_is_refused_at_a_header_with_many_rules_or_a_long_text() {
 }
 
 /// Joins as a worker that shows an identity; returns the identity of the welcome, and the open stream.
-async fn join_as(served: &Served, name: &str, identity: &[u8]) -> (Vec<u8>, mpsc::Sender<v1::WorkerMessage>) {
+async fn join_as(
+    served: &Served,
+    name: &str,
+    identity: &[u8],
+) -> (Vec<u8>, mpsc::Sender<v1::WorkerMessage>) {
     use v1::worker_message::Message;
     let hello = v1::Hello {
         name: name.to_owned(),
@@ -185,17 +268,39 @@ async fn join_as(served: &Served, name: &str, identity: &[u8]) -> (Vec<u8>, mpsc
         identity: identity.to_vec(),
         ..Default::default()
     };
-    let (stream, messages) = open(vec![v1::WorkerMessage { message: Some(Message::Hello(hello)) }]).await;
-    let answer = WorkersClient::new(served.channel.clone()).work(messages).await.unwrap();
-    let welcome = answer.into_inner().next().await.unwrap().unwrap().message.unwrap();
-    let v1::coordinator_message::Message::Welcome(welcome) = welcome else { panic!("{welcome:?}") };
+    let (stream, messages) = open(vec![v1::WorkerMessage {
+        message: Some(Message::Hello(hello)),
+    }])
+    .await;
+    let answer = WorkersClient::new(served.channel.clone())
+        .work(messages)
+        .await
+        .unwrap();
+    let welcome = answer
+        .into_inner()
+        .next()
+        .await
+        .unwrap()
+        .unwrap()
+        .message
+        .unwrap();
+    let v1::coordinator_message::Message::Welcome(welcome) = welcome else {
+        panic!("{welcome:?}")
+    };
     (welcome.identity, stream)
 }
 
 /// Returns the troubles of the connected workers.
 fn troubles(served: &Served) -> Vec<Option<&'static str>> {
     let now = served.c.now_plain();
-    served.c.lock().machine.roster(now).into_iter().map(|member| member.trouble).collect()
+    served
+        .c
+        .lock()
+        .machine
+        .roster(now)
+        .into_iter()
+        .map(|member| member.trouble)
+        .collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -208,7 +313,11 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
     assert_ne!(ada, stranger);
     let number = u64::from_be_bytes(*stranger.first_chunk().unwrap());
     let signature = crate::ids::signature("ada", crate::ids::WorkerIdentity(number));
-    let record = QuarantineRecord { worker: signature.clone(), at_ms: 1, reason: "it lied".to_owned() };
+    let record = QuarantineRecord {
+        worker: signature.clone(),
+        at_ms: 1,
+        reason: "it lied".to_owned(),
+    };
     served.c.store.quarantine(record).unwrap();
     happened(&served.c, Event::Quarantined(signature));
     assert!(troubles(&served)[0].is_some_and(|trouble| trouble.contains("quarantined")));
@@ -233,17 +342,38 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
 async fn silent_calls_end() {
     let short = Duration::from_millis(50);
     let limits = ConnectionLimits::for_descriptors(1024);
-    let served = served_with(&[], ConnectionLimits { call_silence: short, idle: short, ..limits }).await;
+    let served = served_with(
+        &[],
+        ConnectionLimits {
+            call_silence: short,
+            idle: short,
+            ..limits
+        },
+    )
+    .await;
     let refused = tokio::time::timeout(LIMIT, put_result(&served, Vec::new())).await;
-    assert_eq!(refused.expect("the call does not end").unwrap_err().code(), Code::DeadlineExceeded);
+    assert_eq!(
+        refused.expect("the call does not end").unwrap_err().code(),
+        Code::DeadlineExceeded
+    );
     // A stream that workers keep open is limited until its first message.
     let mut calls = WorkersClient::new(served.channel.clone());
     let (_open, messages) = open(Vec::new()).await;
-    let refused = tokio::time::timeout(LIMIT, calls.work(messages)).await.expect("the call does not end");
-    assert_eq!(refused.err().map(|status| status.code()), Some(Code::DeadlineExceeded));
+    let refused = tokio::time::timeout(LIMIT, calls.work(messages))
+        .await
+        .expect("the call does not end");
+    assert_eq!(
+        refused.err().map(|status| status.code()),
+        Some(Code::DeadlineExceeded)
+    );
     let (_open, messages) = open(Vec::new()).await;
-    let refused = tokio::time::timeout(LIMIT, calls.crew(messages)).await.expect("the call does not end");
-    assert_eq!(refused.err().map(|status| status.code()), Some(Code::DeadlineExceeded));
+    let refused = tokio::time::timeout(LIMIT, calls.crew(messages))
+        .await
+        .expect("the call does not end");
+    assert_eq!(
+        refused.err().map(|status| status.code()),
+        Some(Code::DeadlineExceeded)
+    );
 }
 
 /// Waits until something is the case.
@@ -253,14 +383,19 @@ async fn until(is: impl Fn() -> bool) {
             tokio::time::sleep(Duration::from_millis(2)).await;
         }
     };
-    tokio::time::timeout(LIMIT, wait).await.expect("it did not come");
+    tokio::time::timeout(LIMIT, wait)
+        .await
+        .expect("it did not come");
 }
 
 /// Puts a caller where a guard with tokens would.
 fn by<T>(user: &str, message: T) -> Request<T> {
     let scopes = crate::access::Scopes::of(&[crate::access::Scope::Submit]);
     let mut request = Request::new(message);
-    request.extensions_mut().insert(Caller::User { name: user.to_owned(), scopes });
+    request.extensions_mut().insert(Caller::User {
+        name: user.to_owned(),
+        scopes,
+    });
     request
 }
 
@@ -269,30 +404,58 @@ async fn scene_file_counts_from_its_first_chunk_on() {
     let served = served(&["bytes=100"]).await;
     let file = |total: u64| {
         use v1::scene_file_part::Part;
-        let header = v1::SceneFileHeader { name: "a.obj".to_owned(), rules: Vec::new() };
+        let header = v1::SceneFileHeader {
+            name: "a.obj".to_owned(),
+            rules: Vec::new(),
+        };
         let parts = [Part::Header(header), Part::Chunk(piece(total))];
-        parts.map(|part| v1::SceneFilePart { part: Some(part) }).to_vec()
+        parts
+            .map(|part| v1::SceneFilePart { part: Some(part) })
+            .to_vec()
     };
     // Too long for a file, at once, while the stream is open.
     let (_held, parts) = open(file((1 << 30) + 1)).await;
-    let call = async { JobsClient::new(served.channel.clone()).put_scene_file(parts).await };
-    let refused = tokio::time::timeout(LIMIT, call).await.expect("the call waits for its end").unwrap_err();
+    let call = async {
+        JobsClient::new(served.channel.clone())
+            .put_scene_file(parts)
+            .await
+    };
+    let refused = tokio::time::timeout(LIMIT, call)
+        .await
+        .expect("the call waits for its end")
+        .unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
     // Files of a user count together before they have arrived.
     let caller = by("ada", ()).extensions().get::<Caller>().unwrap().clone();
-    let first = super::jobs::begin_file(&served.c, &caller, 60).await.unwrap();
-    let refused = super::jobs::begin_file(&served.c, &caller, 41).await.err().unwrap();
+    let first = super::jobs::begin_file(&served.c, &caller, 60)
+        .await
+        .unwrap();
+    let refused = super::jobs::begin_file(&served.c, &caller, 41)
+        .await
+        .err()
+        .unwrap();
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
-    assert!(refused.message().contains("ada may have 100 bytes"), "{refused}");
+    assert!(
+        refused.message().contains("ada may have 100 bytes"),
+        "{refused}"
+    );
     drop(first);
-    drop(super::jobs::begin_file(&served.c, &caller, 100).await.unwrap());
+    drop(
+        super::jobs::begin_file(&served.c, &caller, 100)
+            .await
+            .unwrap(),
+    );
 }
 
 /// Sends the head of a request, and returns the first line of the answer.
 fn head(pages: SocketAddr, request: &str) -> String {
     let mut stream = TcpStream::connect(pages).unwrap();
     stream.set_read_timeout(Some(LIMIT)).unwrap();
-    write!(stream, "{request}\r\nHost: {pages}\r\nContent-Type: application/octet-stream\r\n\r\n").unwrap();
+    write!(
+        stream,
+        "{request}\r\nHost: {pages}\r\nContent-Type: application/octet-stream\r\n\r\n"
+    )
+    .unwrap();
     let mut answer = [0; 64];
     let read = stream.read(&mut answer).unwrap();
     String::from_utf8_lossy(&answer[..read]).into_owned()
@@ -304,7 +467,9 @@ async fn posted_scene_is_refused_by_its_announced_length() {
     let pages = served.pages;
     for length in ["Content-Length: 1073741825", "Transfer-Encoding: chunked"] {
         let request = format!("POST /scenes?name=a.obj HTTP/1.1\r\n{length}");
-        let answer = tokio::task::spawn_blocking(move || head(pages, &request)).await.unwrap();
+        let answer = tokio::task::spawn_blocking(move || head(pages, &request))
+            .await
+            .unwrap();
         assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
     }
 }
@@ -369,17 +534,36 @@ fn done(c: &Arc<Coordinator>) -> JobId {
 async fn question_ends_when_its_asker_has_gone() {
     let served = served(&[]).await;
     let (begun, begins) = events::channel();
-    served.c.answer_with(Box::new(Endless { begun: Mutex::new(begun), count: AtomicU32::new(0) }));
+    served.c.answer_with(Box::new(Endless {
+        begun: Mutex::new(begun),
+        count: AtomicU32::new(0),
+    }));
     let c = Arc::clone(&served.c);
-    let job = tokio::task::spawn_blocking(move || done(&c)).await.unwrap().0;
+    let job = tokio::task::spawn_blocking(move || done(&c))
+        .await
+        .unwrap()
+        .0;
     let begins = Arc::new(Mutex::new(begins));
     for number in 0..6 {
         let mut results = ResultsClient::new(served.channel.clone());
         let from = Some(v1::why_request::From::Cell(0));
         let asked = tokio::spawn(async move {
             match number % 2 {
-                0 => results.why(v1::WhyRequest { job, triangle: 0, from }).await.map(drop),
-                _ => results.measure(v1::MeasureRequest { job, ..Default::default() }).await.map(drop),
+                0 => results
+                    .why(v1::WhyRequest {
+                        job,
+                        triangle: 0,
+                        from,
+                    })
+                    .await
+                    .map(drop),
+                _ => results
+                    .measure(v1::MeasureRequest {
+                        job,
+                        ..Default::default()
+                    })
+                    .await
+                    .map(drop),
             }
         });
         // Each begins: the one before has ended with its call.
@@ -395,13 +579,21 @@ async fn measurement_has_a_bound() {
     let served = served(&[]).await;
     let mut results = ResultsClient::new(served.channel.clone());
     let mut ask = async |viewpoints, resolution| {
-        let asked = v1::MeasureRequest { job: 1, viewpoints, resolution, seed: 0 };
+        let asked = v1::MeasureRequest {
+            job: 1,
+            viewpoints,
+            resolution,
+            seed: 0,
+        };
         results.measure(asked).await.unwrap_err()
     };
     for (viewpoints, resolution) in [(1000, 512), (64, 512), (1000, 130)] {
         let refused = ask(viewpoints, resolution).await;
         assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
-        assert!(refused.message().contains("at most 100000000 are measured"), "{refused}");
+        assert!(
+            refused.message().contains("at most 100000000 are measured"),
+            "{refused}"
+        );
     }
     // A measurement within the bound reaches the job, which does not exist.
     for (viewpoints, resolution) in [(1000, 128), (63, 512), (0, 0)] {

@@ -16,7 +16,12 @@ struct WithRight<T> {
 
 /// Returns the answer, which drops the right at its end.
 pub(super) fn until_end<T: Send + Unpin + 'static>(answer: Response, right: T) -> Response {
-    answer.map(|body| Body::new(WithRight { body, _right: right }))
+    answer.map(|body| {
+        Body::new(WithRight {
+            body,
+            _right: right,
+        })
+    })
 }
 
 impl<T: Unpin> HttpBody for WithRight<T> {

@@ -23,12 +23,12 @@ pub(super) async fn blocking<T: Send + 'static>(
     let c = Arc::clone(c);
     // What it logs belongs to the call.
     let span = tracing::Span::current();
-    tokio::task::spawn_blocking(move || span.in_scope(|| f(&c))).await.map_err(|e| {
-        match e.is_cancelled() {
+    tokio::task::spawn_blocking(move || span.in_scope(|| f(&c)))
+        .await
+        .map_err(|e| match e.is_cancelled() {
             true => Status::unavailable("the coordinator is stopping; try again when it is back"),
             false => status::internal(&format!("a request panicked: {e}")),
-        }
-    })?
+        })?
 }
 
 /// As [`blocking`], with one of few permits, which is held until `f` has ended, whether anybody waits for it
@@ -94,7 +94,8 @@ pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Optio
         return Ok(None);
     }
     let turn = c.large.take(user).await;
-    turn.map(Some).map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
+    turn.map(Some)
+        .map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
 }
 
 /// Does chores on one of tokio's threads for blocking work; the caller does not wait for them.

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use prost::Message as _;
-use rcgen::{CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair};
+use rcgen::{
+    CertificateParams, CertifiedIssuer, ExtendedKeyUsagePurpose as Purpose, IsCa, KeyPair,
+};
 use sightline_proto::connecting::Credentials;
 use sightline_proto::v1;
 use tonic::body::Body;
@@ -40,8 +42,16 @@ enum By {
 
 const ADMIN: &[By] = &[By::Token(Scope::Admin)];
 const SUBMIT: &[By] = &[By::Token(Scope::Submit), By::Token(Scope::Admin)];
-const READ: &[By] = &[By::Token(Scope::Read), By::Token(Scope::Submit), By::Token(Scope::Admin)];
-const WORKER: &[By] = &[By::Token(Scope::Worker), By::Certificate, By::Token(Scope::Admin)];
+const READ: &[By] = &[
+    By::Token(Scope::Read),
+    By::Token(Scope::Submit),
+    By::Token(Scope::Admin),
+];
+const WORKER: &[By] = &[
+    By::Token(Scope::Worker),
+    By::Certificate,
+    By::Token(Scope::Admin),
+];
 const ALL: [By; 6] = [
     By::Nobody,
     By::Token(Scope::Read),
@@ -87,8 +97,14 @@ const CALLS: [(&str, &[By]); 38] = [
     ("sightline.v1.Workers/StageResult", WORKER),
     ("grpc.health.v1.Health/Check", &ALL),
     ("grpc.health.v1.Health/Watch", &ALL),
-    ("grpc.reflection.v1.ServerReflection/ServerReflectionInfo", &ALL),
-    ("grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo", &ALL),
+    (
+        "grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
+        &ALL,
+    ),
+    (
+        "grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+        &ALL,
+    ),
     // Calls that there are not yet.
     ("sightline.v1.Jobs/NotYet", ADMIN),
     ("sightline.v2.Jobs/List", ADMIN),
@@ -148,7 +164,11 @@ impl Drop for Farm {
 }
 
 /// Writes a certificate with its key that an authority has signed; gives both.
-fn certificate(folder: &Path, name: &str, by: &CertifiedIssuer<'static, KeyPair>) -> (Vec<u8>, Vec<u8>) {
+fn certificate(
+    folder: &Path,
+    name: &str,
+    by: &CertifiedIssuer<'static, KeyPair>,
+) -> (Vec<u8>, Vec<u8>) {
     let mut params = CertificateParams::new(vec!["localhost".to_owned()]).unwrap();
     params.extended_key_usages = vec![Purpose::ServerAuth, Purpose::ClientAuth];
     let key = KeyPair::generate().unwrap();
@@ -183,7 +203,14 @@ impl Farm {
             ("root", Scope::Admin),
         ];
         let mut add = |(at, (user, scope)): (usize, (&str, Scope))| {
-            let token = file.add(user, &[scope], 1, std::array::from_fn(|i| (at * 40 + i) as u8)).unwrap();
+            let token = file
+                .add(
+                    user,
+                    &[scope],
+                    1,
+                    std::array::from_fn(|i| (at * 40 + i) as u8),
+                )
+                .unwrap();
             (user.to_owned(), scope, token)
         };
         let tokens = users.into_iter().enumerate().map(&mut add).collect();
@@ -191,7 +218,9 @@ impl Farm {
         let data = path("data");
         let open = move || Coordinator::open(Config::new(data)).unwrap();
         let c = tokio::task::spawn_blocking(open).await.unwrap();
-        c.ask_callers(Arc::new(Access::new(Some(path("tokens.json")), true).unwrap()));
+        c.ask_callers(Arc::new(
+            Access::new(Some(path("tokens.json")), true).unwrap(),
+        ));
         let connections = Connections::new(ConnectionLimits::for_descriptors(1024));
         let listen = || Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections);
         let (calls, pages) = (listen().await.unwrap(), listen().await.unwrap());
@@ -200,27 +229,53 @@ impl Farm {
         let tls = Some(Arc::new(Tls::open(tls).unwrap()));
         let (first, second) = (Arc::clone(&c), Arc::clone(&c));
         let tasks = vec![
-            tokio::spawn(async move { drop(serve(first, calls, tls, std::future::pending()).await) }),
+            tokio::spawn(
+                async move { drop(serve(first, calls, tls, std::future::pending()).await) },
+            ),
             tokio::spawn(async move { drop(serve_http(second, pages, None).await) }),
         ];
         let authority = authority.pem().into_bytes();
-        Self { c, url, pages: at, authority, worker, tokens, tasks, _folder: folder }
+        Self {
+            c,
+            url,
+            pages: at,
+            authority,
+            worker,
+            tokens,
+            tasks,
+            _folder: folder,
+        }
     }
 
     /// Returns the token of a user.
     fn token(&self, user: &str) -> Option<&str> {
-        self.tokens.iter().find(|(name, ..)| name == user).map(|(.., token)| token.as_str())
+        self.tokens
+            .iter()
+            .find(|(name, ..)| name == user)
+            .map(|(.., token)| token.as_str())
     }
 
     fn token_of(&self, by: By) -> Option<&str> {
         let By::Token(scope) = by else { return None };
-        self.tokens.iter().find(|(_, has, _)| *has == scope).map(|(.., token)| token.as_str())
+        self.tokens
+            .iter()
+            .find(|(_, has, _)| *has == scope)
+            .map(|(.., token)| token.as_str())
     }
 
     async fn channel(&self, with_certificate: bool) -> Channel {
         let identity = with_certificate.then(|| self.worker.clone());
-        let credentials = Credentials { ca: Some(self.authority.clone()), identity, token: None };
-        credentials.endpoint(&self.url).unwrap().connect().await.unwrap()
+        let credentials = Credentials {
+            ca: Some(self.authority.clone()),
+            identity,
+            token: None,
+        };
+        credentials
+            .endpoint(&self.url)
+            .unwrap()
+            .connect()
+            .await
+            .unwrap()
     }
 }
 
@@ -234,7 +289,9 @@ async fn call(channel: &Channel, path: &str, token: Option<&str>, job: u64) -> O
     if let Some(token) = token {
         request = request.header(header::AUTHORIZATION, format!("Bearer {token}"));
     }
-    let request = request.body(Body::new(axum::body::Body::from(frame))).unwrap();
+    let request = request
+        .body(Body::new(axum::body::Body::from(frame)))
+        .unwrap();
     let answer = tokio::time::timeout(Duration::from_secs(60), channel.clone().oneshot(request));
     Status::from_header_map(answer.await.expect(path).unwrap().headers())
 }
@@ -246,15 +303,23 @@ fn is_denied(status: Option<&Status>) -> bool {
 /// Makes a request over HTTP; gives its status.
 fn ask(pages: SocketAddr, line: &str, token: Option<&str>) -> u16 {
     let mut stream = TcpStream::connect(pages).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
-    let token = token.map_or_else(String::new, |token| format!("Authorization: Bearer {token}\r\n"));
+    stream
+        .set_read_timeout(Some(Duration::from_secs(60)))
+        .unwrap();
+    let token = token.map_or_else(String::new, |token| {
+        format!("Authorization: Bearer {token}\r\n")
+    });
     let kind = match line {
         line if line.contains("/log") => "application/x-www-form-urlencoded",
         line if line.contains("/scenes") => "application/octet-stream",
         _ => "application/json",
     };
     let head = format!("Host: {pages}\r\nContent-Type: {kind}\r\nConnection: close\r\n{token}");
-    write!(stream, "{line} HTTP/1.1\r\n{head}Content-Length: 2\r\n\r\n{{}}").unwrap();
+    write!(
+        stream,
+        "{line} HTTP/1.1\r\n{head}Content-Length: 2\r\n\r\n{{}}"
+    )
+    .unwrap();
     let mut answer = [0; 12];
     stream.read_exact(&mut answer).unwrap();
     std::str::from_utf8(&answer[9..]).unwrap().parse().unwrap()
@@ -262,7 +327,9 @@ fn ask(pages: SocketAddr, line: &str, token: Option<&str>) -> u16 {
 
 /// Returns the paths of all calls of the interface.
 fn all_calls() -> BTreeSet<String> {
-    let files = prost_types::FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap().file;
+    let files = prost_types::FileDescriptorSet::decode(sightline_proto::DESCRIPTORS)
+        .unwrap()
+        .file;
     let mut all = BTreeSet::new();
     for file in &files {
         for service in &file.service {
@@ -278,15 +345,27 @@ async fn calls_admit_callers_of_table_only() {
     let farm = Farm::start().await;
     let listed: BTreeSet<String> = CALLS.iter().map(|(path, _)| (*path).to_owned()).collect();
     let unlisted: Vec<_> = all_calls().difference(&listed).cloned().collect();
-    assert_eq!(unlisted, Vec::<String>::new(), "calls without a row in the table");
+    assert_eq!(
+        unlisted,
+        Vec::<String>::new(),
+        "calls without a row in the table"
+    );
     let plain = farm.channel(false).await;
     let certified = farm.channel(true).await;
     for (path, open_to) in CALLS {
         for by in ALL {
-            let channel = if by == By::Certificate { &certified } else { &plain };
+            let channel = if by == By::Certificate {
+                &certified
+            } else {
+                &plain
+            };
             let status = call(channel, path, farm.token_of(by), 1).await;
             let is_open = !is_denied(status.as_ref());
-            assert_eq!(is_open, open_to.contains(&by), "{path} by {by:?}: {status:?}");
+            assert_eq!(
+                is_open,
+                open_to.contains(&by),
+                "{path} by {by:?}: {status:?}"
+            );
         }
     }
 }
@@ -294,18 +373,34 @@ async fn calls_admit_callers_of_table_only() {
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_admit_callers_of_table_only() {
     let farm = Farm::start().await;
-    let mut rows: Vec<(String, &[By])> = PAGES.iter().map(|(line, by)| ((*line).to_owned(), *by)).collect();
-    let calls = CALLS.iter().filter(|(path, _)| path.starts_with("sightline."));
+    let mut rows: Vec<(String, &[By])> = PAGES
+        .iter()
+        .map(|(line, by)| ((*line).to_owned(), *by))
+        .collect();
+    let calls = CALLS
+        .iter()
+        .filter(|(path, _)| path.starts_with("sightline."));
     rows.extend(calls.map(|(path, by)| (format!("POST /{path}"), *by)));
-    let (pages, tokens) = (farm.pages, ALL.map(|by| (by, farm.token_of(by).map(str::to_owned))));
+    let (pages, tokens) = (
+        farm.pages,
+        ALL.map(|by| (by, farm.token_of(by).map(str::to_owned))),
+    );
     let asked = tokio::task::spawn_blocking(move || {
         for (line, open_to) in rows {
             for (by, token) in &tokens {
                 // The pages ask for no certificate, so its bearer is unknown.
-                let seen = if *by == By::Certificate { By::Nobody } else { *by };
+                let seen = if *by == By::Certificate {
+                    By::Nobody
+                } else {
+                    *by
+                };
                 let status = ask(pages, &line, token.as_deref());
                 let is_open = !matches!(status, 401 | 403);
-                assert_eq!(is_open, open_to.contains(&seen), "{line} by {by:?}: {status}");
+                assert_eq!(
+                    is_open,
+                    open_to.contains(&seen),
+                    "{line} by {by:?}: {status}"
+                );
             }
         }
     });
@@ -321,7 +416,12 @@ async fn job_of_another_user_does_not_exist() {
         let view = Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
         let spec = JobSpec::new(scene, Division::Grid([1, 1, 1]), view);
         let (owner, user) = ("ada".to_owned(), "ada".to_owned());
-        let submission = Submission { request_id: "one".to_owned(), owner, user, ..nameless(spec) };
+        let submission = Submission {
+            request_id: "one".to_owned(),
+            owner,
+            user,
+            ..nameless(spec)
+        };
         submit(&c, &submission).unwrap().id
     });
     let JobId(job) = submitted.await.unwrap();
@@ -333,12 +433,21 @@ async fn job_of_another_user_does_not_exist() {
         let missing = of("bob", 77).await.unwrap();
         assert_eq!(strange.code(), Code::NotFound, "{method}: {strange}");
         // The answer is that about a job that there is not.
-        assert_eq!(strange.message(), missing.message().replace("77", &job.to_string()), "{method}");
+        assert_eq!(
+            strange.message(),
+            missing.message().replace("77", &job.to_string()),
+            "{method}"
+        );
     }
     let state = farm.c.store.job(JobId(job)).unwrap().unwrap().state;
     assert_eq!(state, JobState::Queued);
     // Its owner and an admin find it, by a call that does not change the job.
-    for (user, finds) in [("ada", true), ("root", true), ("bob", false), ("eve", false)] {
+    for (user, finds) in [
+        ("ada", true),
+        ("root", true),
+        ("bob", false),
+        ("eve", false),
+    ] {
         let status = call(&plain, "sightline.v1.Jobs/Show", farm.token(user), job).await;
         assert_eq!(status.is_none(), finds, "{user}: {status:?}");
     }

@@ -43,13 +43,18 @@ pub(super) struct Counting {
 impl Counting {
     pub(super) fn of(c: &Arc<Coordinator>) -> Self {
         let bytes = ["in", "out"].map(|direction| c.metrics.transferred(direction));
-        Self { coordinator: Arc::clone(c), methods: Arc::new(methods()), bytes }
+        Self {
+            coordinator: Arc::clone(c),
+            methods: Arc::new(methods()),
+            bytes,
+        }
     }
 }
 
 /// The methods of our services by their paths, as `Service/Method`.
 fn methods() -> BTreeMap<String, Arc<str>> {
-    let files = prost_types::FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap_or_default();
+    let files =
+        prost_types::FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap_or_default();
     let mut methods = BTreeMap::new();
     for file in files.file {
         for service in &file.service {
@@ -66,7 +71,10 @@ impl<S> Layer<S> for Counting {
     type Service = Counted<S>;
 
     fn layer(&self, inner: S) -> Counted<S> {
-        Counted { inner, counting: self.clone() }
+        Counted {
+            inner,
+            counting: self.clone(),
+        }
     }
 }
 
@@ -91,19 +99,38 @@ where
     }
 
     fn call(&mut self, request: Request<Body>) -> Self::Future {
-        let Counting { coordinator, methods, bytes: [read, written] } = self.counting.clone();
-        let method = methods.get(request.uri().path()).map_or_else(|| "other".into(), Arc::clone);
+        let Counting {
+            coordinator,
+            methods,
+            bytes: [read, written],
+        } = self.counting.clone();
+        let method = methods
+            .get(request.uri().path())
+            .map_or_else(|| "other".into(), Arc::clone);
         let id = request_id(request.headers());
         let span = tracing::info_span!("call", %method, id = id.to_str().unwrap_or_default());
-        let silence = request.extensions().get::<Peer>().map(|peer| peer.limits().call_silence);
+        let silence = request
+            .extensions()
+            .get::<Peer>()
+            .map(|peer| peer.limits().call_silence);
         let silence = silence.filter(|_| !OPEN_ENDED.contains(&&*method));
-        let call = Call { coordinator, method, begun: Instant::now(), code: None, held: None };
+        let call = Call {
+            coordinator,
+            method,
+            begun: Instant::now(),
+            code: None,
+            held: None,
+        };
         let request = request.map(|body| {
             let inner = match silence {
                 Some(limit) => Body::new(UntilSilent::new(body, limit)),
                 None => body,
             };
-            Body::new(CountedBody { inner, bytes: read, call: None })
+            Body::new(CountedBody {
+                inner,
+                bytes: read,
+                call: None,
+            })
         });
         let answer = self.inner.call(request);
         let answer = async move {
@@ -115,7 +142,13 @@ where
             call.code = code;
             call.held = response.extensions_mut().remove::<Arc<CallRight>>();
             let call = Some(call).filter(|_| code.is_none());
-            Ok(response.map(|body| Body::new(CountedBody { inner: body, bytes: written, call })))
+            Ok(response.map(|body| {
+                Body::new(CountedBody {
+                    inner: body,
+                    bytes: written,
+                    call,
+                })
+            }))
         };
         Box::pin(answer.instrument(span))
     }
@@ -133,7 +166,10 @@ fn request_id(headers: &HeaderMap) -> HeaderValue {
         let _ = getrandom::fill(&mut bytes);
         HeaderValue::from_str(&format!("{:016x}", u64::from_le_bytes(bytes)))
     };
-    given.cloned().or_else(|| random().ok()).unwrap_or_else(|| HeaderValue::from_static("none"))
+    given
+        .cloned()
+        .or_else(|| random().ok())
+        .unwrap_or_else(|| HeaderValue::from_static("none"))
 }
 
 /// A call that goes on. It is counted when it is dropped.
@@ -150,7 +186,9 @@ struct Call {
 impl Drop for Call {
     fn drop(&mut self) {
         let code = name(self.code.unwrap_or(Code::Cancelled));
-        self.coordinator.metrics.request(&self.method, code, self.begun.elapsed());
+        self.coordinator
+            .metrics
+            .request(&self.method, code, self.begun.elapsed());
     }
 }
 
@@ -197,7 +235,10 @@ impl HttpBody for CountedBody {
             if let Some(data) = frame.data_ref() {
                 self.bytes.inc_by(data.len() as u64);
             }
-            let code = frame.trailers_ref().and_then(Status::from_header_map).map(|status| status.code());
+            let code = frame
+                .trailers_ref()
+                .and_then(Status::from_header_map)
+                .map(|status| status.code());
             if let Some(call) = self.call.as_mut().filter(|_| code.is_some()) {
                 call.code = code;
             }

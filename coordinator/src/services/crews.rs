@@ -29,7 +29,11 @@ type Out = mpsc::Sender<Result<v1::CrewMessage, Status>>;
 
 /// Sends a message; fails when the member has gone.
 async fn say(out: &Out, message: Message) -> Result<(), Gone> {
-    out.send(Ok(v1::CrewMessage { message: Some(message) })).await.map_err(|_| Gone)
+    out.send(Ok(v1::CrewMessage {
+        message: Some(message),
+    }))
+    .await
+    .map_err(|_| Gone)
 }
 
 /// A member reads no more.
@@ -39,13 +43,18 @@ struct Gone;
 async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -> Result<(), Gone> {
     let tile = room.tile();
     let opened = blocking(c, move |c| Ok(c.crews.outcomes.open(tile, phase))).await;
-    let Ok(Some((total, mut from))) = opened else { return Err(Gone) };
+    let Ok(Some((total, mut from))) = opened else {
+        return Err(Gone);
+    };
     let mut offset = 0;
     loop {
         // One chunk is in memory at a time, whatever the length of the outcome.
         let (data, rest) = blocking(c, move |_| {
             let mut data = Vec::new();
-            let read = from.by_ref().take(chunks::CHUNK_BYTES as u64).read_to_end(&mut data);
+            let read = from
+                .by_ref()
+                .take(chunks::CHUNK_BYTES as u64)
+                .read_to_end(&mut data);
             read.map_err(|e| Status::data_loss(format!("an outcome cannot be read: {e}")))?;
             Ok((data, from))
         })
@@ -58,7 +67,15 @@ async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -
         if is_cut {
             return Err(Gone);
         }
-        say(out, Message::Outcome(v1::CrewOutcome { phase, chunk, micros: 0 })).await?;
+        say(
+            out,
+            Message::Outcome(v1::CrewOutcome {
+                phase,
+                chunk,
+                micros: 0,
+            }),
+        )
+        .await?;
         if end >= total {
             return Ok(());
         }
@@ -75,7 +92,13 @@ pub(super) async fn lead(
     inbound: Streaming<v1::CrewMessage>,
     out: Out,
 ) {
-    let telling = tokio::spawn(tell(Arc::clone(&c), Arc::clone(&room), told, from, out.clone()));
+    let telling = tokio::spawn(tell(
+        Arc::clone(&c),
+        Arc::clone(&room),
+        told,
+        from,
+        out.clone(),
+    ));
     let heard = hear_leader(&c, &room, inbound).await;
     later(&c, sessions::crew_ended(&c, &room));
     if let Err(s) = heard {
@@ -92,7 +115,13 @@ pub(super) async fn lead(
 }
 
 /// Sends the leader the outcomes of earlier leaders, and then what it is told.
-async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Told>, from: u32, out: Out) {
+async fn tell(
+    c: Arc<Coordinator>,
+    room: Arc<Room>,
+    mut told: mpsc::Receiver<Told>,
+    from: u32,
+    out: Out,
+) {
     let mut kept = room.outcomes.subscribe();
     let count = *kept.borrow_and_update();
     for phase in from..count {
@@ -117,9 +146,17 @@ async fn tell(c: Arc<Coordinator>, room: Arc<Room>, mut told: mpsc::Receiver<Tol
             Told::Left(member) => Message::Left(v1::CrewLeft { member }),
             Told::Kept(phases) => Message::Kept(v1::CrewKept { phases }),
             Told::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
-            Told::Found { member, phase, items, chunk } => {
-                Message::Found(v1::CrewFound { member, phase, items, chunk })
-            }
+            Told::Found {
+                member,
+                phase,
+                items,
+                chunk,
+            } => Message::Found(v1::CrewFound {
+                member,
+                phase,
+                items,
+                chunk,
+            }),
         };
         next = say(&out, message).await;
     }
@@ -139,20 +176,33 @@ async fn hear_leader(
             // Another leader has come.
             () = over.wait_for_true() => return Ok(()),
         };
-        let Some(message) = message else { return Ok(()) };
+        let Some(message) = message else {
+            return Ok(());
+        };
         match message?.message {
             Some(Message::Take(take)) => {
                 if take.items.len() > MAX_ITEMS {
-                    return Err(Status::invalid_argument("a piece has more items than a phase can have"));
+                    return Err(Status::invalid_argument(
+                        "a piece has more items than a phase can have",
+                    ));
                 }
-                room.pass(take.member, Take { phase: take.phase, items: take.items });
+                room.pass(
+                    take.member,
+                    Take {
+                        phase: take.phase,
+                        items: take.items,
+                    },
+                );
             }
             Some(Message::Outcome(mut piece)) => {
                 let chunk = piece.chunk.take().unwrap_or_default();
                 let arrived = arrived(c, room.lease, outcome.take(), chunk).await?;
                 let Some(spool) = arrived else {
                     // The tile is done, or another worker's; its crew has no more use.
-                    tracing::debug!("an outcome of tile {} came after its lease", room.lease.tile);
+                    tracing::debug!(
+                        "an outcome of tile {} came after its lease",
+                        room.lease.tile
+                    );
                     return Ok(());
                 };
                 if spool.is_complete() {
@@ -182,7 +232,10 @@ async fn keep(
     let (tile, phase, lease) = (room.tile(), piece.phase, room.lease);
     let profile = {
         let scheduling = c.lock();
-        let job = scheduling.machine.job(lease.job).filter(|_| scheduling.machine.is_leased(&lease));
+        let job = scheduling
+            .machine
+            .job(lease.job)
+            .filter(|_| scheduling.machine.is_leased(&lease));
         job.map(|job| job.record.profile.clone().unwrap_or_default())
     };
     let Some(profile) = profile else {
@@ -198,7 +251,10 @@ async fn keep(
             return Ok(true);
         }
         // The commit of a tile removes its outcomes while a late one may be under way.
-        let tile = c.store.tile(lease.job, lease.tile).map_err(|e| status::of_store(&e))?;
+        let tile = c
+            .store
+            .tile(lease.job, lease.tile)
+            .map_err(|e| status::of_store(&e))?;
         match tile.state {
             TileState::Open => Err(Status::resource_exhausted("an outcome could not be kept")),
             TileState::Done { .. } | TileState::SetAside { .. } => Ok(false),
@@ -209,7 +265,8 @@ async fn keep(
         tracing::debug!("an outcome of tile {} came after its output", lease.tile);
         return Ok(());
     }
-    c.metrics.phase_done(&profile, Duration::from_micros(piece.micros));
+    c.metrics
+        .phase_done(&profile, Duration::from_micros(piece.micros));
     room.outcomes.send_replace(phase + 1);
     let text = format!("tile {}: phase {phase} is finished", lease.tile);
     c.happened(Happening::of_lease(Kind::Round, &lease, text));
@@ -250,7 +307,12 @@ pub(super) async fn help(
     out: Out,
 ) {
     let (member, takes) = room.enter();
-    let mut telling = tokio::spawn(tell_helper(Arc::clone(&c), Arc::clone(&room), takes, out.clone()));
+    let mut telling = tokio::spawn(tell_helper(
+        Arc::clone(&c),
+        Arc::clone(&room),
+        takes,
+        out.clone(),
+    ));
     if room.to_leader.send(Told::Joined(member)).await.is_err() {
         // The leader has gone.
         telling.abort();
@@ -278,7 +340,12 @@ pub(super) async fn help(
 }
 
 /// Sends a helper the outcomes of all phases, the items for it, and the end.
-async fn tell_helper(c: Arc<Coordinator>, room: Arc<Room>, mut takes: mpsc::Receiver<Take>, out: Out) {
+async fn tell_helper(
+    c: Arc<Coordinator>,
+    room: Arc<Room>,
+    mut takes: mpsc::Receiver<Take>,
+    out: Out,
+) {
     let (mut outcomes, mut over) = (room.outcomes.subscribe(), room.is_over.subscribe());
     let mut sent = 0;
     loop {
@@ -318,14 +385,33 @@ async fn hear_helper(
 ) -> Result<(), Status> {
     while let Some(message) = inbound.next().await {
         let told = match message?.message {
-            Some(Message::Ask(ask)) => Told::Ask { member, phase: ask.phase },
-            Some(Message::Found(v1::CrewFound { phase, items, chunk, .. })) => {
+            Some(Message::Ask(ask)) => Told::Ask {
+                member,
+                phase: ask.phase,
+            },
+            Some(Message::Found(v1::CrewFound {
+                phase,
+                items,
+                chunk,
+                ..
+            })) => {
                 if items.len() > MAX_ITEMS {
-                    return Err(Status::invalid_argument("finds have more items than a phase can have"));
+                    return Err(Status::invalid_argument(
+                        "finds have more items than a phase can have",
+                    ));
                 }
-                Told::Found { member, phase, items, chunk }
+                Told::Found {
+                    member,
+                    phase,
+                    items,
+                    chunk,
+                }
             }
-            _ => return Err(Status::invalid_argument("a helper sends questions and finds")),
+            _ => {
+                return Err(Status::invalid_argument(
+                    "a helper sends questions and finds",
+                ));
+            }
         };
         if room.to_leader.send(told).await.is_err() {
             return Ok(());

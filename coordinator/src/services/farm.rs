@@ -38,14 +38,23 @@ type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl v1::farm_server::Farm for FarmService {
-    async fn list_workers(&self, _: Request<v1::ListWorkersRequest>) -> Answer<v1::ListWorkersResponse> {
+    async fn list_workers(
+        &self,
+        _: Request<v1::ListWorkersRequest>,
+    ) -> Answer<v1::ListWorkersResponse> {
         let now = self.0.now_plain();
         let roster = self.0.lock().machine.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
-        let quarantined =
-            blocking(&self.0, |c| c.store.quarantined().map_err(|e| status::of_store(&e))).await?;
+        let quarantined = blocking(&self.0, |c| {
+            c.store.quarantined().map_err(|e| status::of_store(&e))
+        })
+        .await?;
         let quarantined = quarantined.into_iter().map(wire::quarantined).collect();
-        Ok(Response::new(v1::ListWorkersResponse { workers, now_ms: now.unix_ms, quarantined }))
+        Ok(Response::new(v1::ListWorkersResponse {
+            workers,
+            now_ms: now.unix_ms,
+            quarantined,
+        }))
     }
 
     async fn list_tiles(&self, r: Request<v1::ListTilesRequest>) -> Answer<v1::ListTilesResponse> {
@@ -60,7 +69,10 @@ impl v1::farm_server::Farm for FarmService {
                 )));
             }
         };
-        let wanted = r.states().map(wire::standing).collect::<Result<Vec<_>, _>>()?;
+        let wanted = r
+            .states()
+            .map(wire::standing)
+            .collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
             let page = tiles::list(c, job, TileIndex(r.first), most as usize, &wanted);
             let page = page.map_err(|e| status::of_store(&e))?;
@@ -83,13 +95,24 @@ impl v1::farm_server::Farm for FarmService {
         .await
     }
 
-    async fn invalidate(&self, r: Request<v1::InvalidateRequest>) -> Answer<v1::InvalidateResponse> {
-        let v1::InvalidateRequest { job, tiles, worker, from_ms, to_ms } = r.into_inner();
+    async fn invalidate(
+        &self,
+        r: Request<v1::InvalidateRequest>,
+    ) -> Answer<v1::InvalidateResponse> {
+        let v1::InvalidateRequest {
+            job,
+            tiles,
+            worker,
+            from_ms,
+            to_ms,
+        } = r.into_inner();
         if job.is_none() && worker.is_empty() {
             return Err(Status::invalid_argument("name a job, or a worker, or both"));
         }
         if job.is_none() && !tiles.is_empty() {
-            return Err(Status::invalid_argument("tiles are numbered within a job; name the job, too"));
+            return Err(Status::invalid_argument(
+                "tiles are numbered within a job; name the job, too",
+            ));
         }
         let which = Which {
             job: job.map(JobId),
@@ -106,8 +129,12 @@ impl v1::farm_server::Farm for FarmService {
             };
             do_chores(c, chores);
             let opened = opened.map_err(|e| status::of_store(&e))?;
-            let jobs = opened.into_iter().map(|(job, tiles)| v1::InvalidatedJob { job: job.0, tiles });
-            Ok(Response::new(v1::InvalidateResponse { jobs: jobs.collect() }))
+            let jobs = opened
+                .into_iter()
+                .map(|(job, tiles)| v1::InvalidatedJob { job: job.0, tiles });
+            Ok(Response::new(v1::InvalidateResponse {
+                jobs: jobs.collect(),
+            }))
         })
         .await
     }
@@ -118,7 +145,8 @@ impl v1::farm_server::Farm for FarmService {
     ) -> Answer<v1::ReleaseWorkerResponse> {
         let worker = r.into_inner().worker;
         blocking(&self.0, move |c| {
-            let was_quarantined = releasing::release(c, &worker).map_err(|e| status::of_store(&e))?;
+            let was_quarantined =
+                releasing::release(c, &worker).map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ReleaseWorkerResponse { was_quarantined }))
         })
         .await
@@ -137,15 +165,19 @@ impl v1::farm_server::Farm for FarmService {
         let v1::EventsRequest { job, after, follow } = r.into_inner();
         let job = job.map(JobId);
         if let Some(job) = job {
-            let known =
-                blocking(&self.0, move |c| c.store.job(job).map_err(|e| status::of_store(&e))).await?;
+            let known = blocking(&self.0, move |c| {
+                c.store.job(job).map_err(|e| status::of_store(&e))
+            })
+            .await?;
             if known.is_none() {
                 return Err(status::of_store(&StoreError::UnknownJob { job }));
             }
         }
         let (out, stream) = mpsc::channel(EVENTS_AT_ONCE);
         tokio::spawn(tell(Arc::clone(&self.0), job, after, follow, out));
-        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(stream))))
+        Ok(Response::new(Box::pin(
+            tokio_stream::wrappers::ReceiverStream::new(stream),
+        )))
     }
 }
 
@@ -163,7 +195,8 @@ async fn tell(
         let (events, upto) = c.chronicle.after(job, after, EVENTS_AT_ONCE);
         let is_end = events.len() < EVENTS_AT_ONCE;
         for event in events {
-            let sent = tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::event(&event)))).await;
+            let sent =
+                tokio::time::timeout(LONGEST_UNREAD, out.send(Ok(wire::event(&event)))).await;
             // The client has gone, or does not read.
             if !matches!(sent, Ok(Ok(()))) {
                 return;

@@ -43,10 +43,17 @@ impl Forwarder {
     /// A sentence that says why nothing can be called there.
     pub(super) fn to(address: &str, credentials: &Credentials) -> Result<Self, String> {
         let endpoint = credentials.endpoint(address)?;
-        let endpoint =
-            endpoint.http2_keep_alive_interval(SILENCE).keep_alive_timeout(SILENCE).connect_timeout(SILENCE);
+        let endpoint = endpoint
+            .http2_keep_alive_interval(SILENCE)
+            .keep_alive_timeout(SILENCE)
+            .connect_timeout(SILENCE);
         let (over, _) = watch::channel(false);
-        Ok(Self { address: address.to_owned(), endpoint, connections: Mutex::default(), over })
+        Ok(Self {
+            address: address.to_owned(),
+            endpoint,
+            connections: Mutex::default(),
+            over,
+        })
     }
 
     /// Ends all calls to it: it does not lead any more.
@@ -61,11 +68,13 @@ impl Forwarder {
         B::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
     {
         if request.headers().contains_key(FORWARDED) {
-            let text =
-                "this coordinator does not lead, and the one that passed the call on has not heard of it";
+            let text = "this coordinator does not lead, and the one that passed the call on has not heard \
+                        of it";
             return Status::unavailable(text).into_http();
         }
-        request.headers_mut().insert(FORWARDED, HeaderValue::from_static("1"));
+        request
+            .headers_mut()
+            .insert(FORWARDED, HeaderValue::from_static("1"));
         let Some((channel, permit)) = self.connection() else {
             return self.lost("too many calls are passed on to it").into_http();
         };
@@ -78,10 +87,19 @@ impl Forwarder {
             Ok(answer) => {
                 let address = self.address.clone();
                 let over = Box::pin(async move { drop(over.wait_for(|over| *over).await) });
-                answer.map(|body| Body::new(Forwarded { body, over, address, ended: false, _permit: permit }))
+                answer.map(|body| {
+                    Body::new(Forwarded {
+                        body,
+                        over,
+                        address,
+                        ended: false,
+                        _permit: permit,
+                    })
+                })
             }
             Err(e) => {
-                let reason = std::error::Error::source(&e).map_or_else(|| e.to_string(), ToString::to_string);
+                let reason = std::error::Error::source(&e)
+                    .map_or_else(|| e.to_string(), ToString::to_string);
                 self.lost(&reason).into_http()
             }
         }
@@ -93,7 +111,10 @@ impl Forwarder {
 
     /// A connection with room for a call.
     fn connection(&self) -> Option<(Channel, OwnedSemaphorePermit)> {
-        let mut connections = self.connections.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut connections = self
+            .connections
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         for (channel, calls) in connections.iter() {
             if let Ok(permit) = Arc::clone(calls).try_acquire_owned() {
                 return Some((channel.clone(), permit));
@@ -102,7 +123,10 @@ impl Forwarder {
         if connections.len() == CONNECTIONS {
             return None;
         }
-        let (channel, calls) = (self.endpoint.connect_lazy(), Arc::new(Semaphore::new(CALLS)));
+        let (channel, calls) = (
+            self.endpoint.connect_lazy(),
+            Arc::new(Semaphore::new(CALLS)),
+        );
         let permit = Arc::clone(&calls).try_acquire_owned().ok()?;
         connections.push((channel.clone(), calls));
         Some((channel, permit))
@@ -110,7 +134,9 @@ impl Forwarder {
 }
 
 fn lost(address: &str, why: &str) -> Status {
-    Status::unavailable(format!("the leading coordinator at {address} does not answer ({why}); try again"))
+    Status::unavailable(format!(
+        "the leading coordinator at {address} does not answer ({why}); try again"
+    ))
 }
 
 /// The body of an answer. When it breaks off, callers get a status that tells them to try again.
@@ -144,7 +170,9 @@ impl http_body::Body for Forwarded {
         self.ended = true;
         let mut trailers = HeaderMap::new();
         Poll::Ready(Some(
-            lost(&self.address, &why).add_header(&mut trailers).map(|()| Frame::trailers(trailers)),
+            lost(&self.address, &why)
+                .add_header(&mut trailers)
+                .map(|()| Frame::trailers(trailers)),
         ))
     }
 

@@ -72,7 +72,12 @@ impl Front {
     /// whether workers may be known by their certificates.
     pub fn new(credentials: Credentials, certified: bool) -> Self {
         let services = Services::new();
-        Self(Arc::new(Inside { credentials, certified, services, now: watch::Sender::new(Now::Nobody) }))
+        Self(Arc::new(Inside {
+            credentials,
+            certified,
+            services,
+            now: watch::Sender::new(Now::Nobody),
+        }))
     }
 
     /// Follows what becomes of a replica. When it is to lead, `open` makes the coordinator on its store; that
@@ -93,11 +98,19 @@ impl Front {
                 Role::Ended(why) => return Err(ReplicaError::Ended(why)),
                 Role::StandsBy(None) => self.answer_with(Now::Nobody),
                 Role::StandsBy(Some(leader)) => {
-                    tracing::info!("{} at {} leads, epoch {}", leader.holder, leader.address, leader.epoch);
+                    tracing::info!(
+                        "{} at {} leads, epoch {}",
+                        leader.holder,
+                        leader.address,
+                        leader.epoch
+                    );
                     match Forwarder::to(&leader.address, &self.0.credentials) {
                         Ok(to) => self.answer_with(Now::Elsewhere(Arc::new(to), leader.address)),
                         Err(e) => {
-                            tracing::error!("the leader at {} cannot be called: {e}", leader.address);
+                            tracing::error!(
+                                "the leader at {} cannot be called: {e}",
+                                leader.address
+                            );
                             self.answer_with(Now::Nobody);
                         }
                     }
@@ -109,8 +122,8 @@ impl Front {
                         tracing::info!("this coordinator leads, epoch {epoch}");
                         let store = replica.store(epoch).map_err(OpenError::Store)?;
                         let opened = tokio::task::spawn_blocking(move || open(store)).await;
-                        let coordinator =
-                            opened.map_err(|e| ServeError::Broken(format!("it panicked: {e}")))??;
+                        let coordinator = opened
+                            .map_err(|e| ServeError::Broken(format!("it panicked: {e}")))??;
                         let routes = self.0.services.routes(&coordinator).await?;
                         server::tick(&coordinator);
                         self.0.services.report_readiness(&coordinator);
@@ -140,7 +153,9 @@ impl Front {
 
     /// Answers calls until this is dropped.
     pub async fn serve(&self, listener: Listener, tls: Option<Arc<Tls>>) -> Infallible {
-        listener.serve(tls, Protocol::Http2, Answering(self.clone())).await
+        listener
+            .serve(tls, Protocol::Http2, Answering(self.clone()))
+            .await
     }
 
     /// Serves pages: while it stands by, one that names the leader; then those of the coordinator.
@@ -170,7 +185,9 @@ impl Front {
                 })
             } => coordinator,
         };
-        let Some(coordinator) = coordinator else { return std::future::pending().await };
+        let Some(coordinator) = coordinator else {
+            return std::future::pending().await;
+        };
         serve_http(coordinator, listener, tls).await
     }
 
@@ -191,10 +208,12 @@ impl Front {
         if request.uri().path().starts_with("/grpc.health.v1.Health/") {
             // Of this process, whoever leads. Whether it is ready to lead or to pass calls on belongs here,
             // too.
-            return answered(self.0.services.health().oneshot(request).await).map(axum::body::Body::new);
+            return answered(self.0.services.health().oneshot(request).await)
+                .map(axum::body::Body::new);
         }
         let mut now = self.0.now.subscribe();
-        let known = tokio::time::timeout(PATIENCE, now.wait_for(|now| !matches!(now, Now::Nobody))).await;
+        let known =
+            tokio::time::timeout(PATIENCE, now.wait_for(|now| !matches!(now, Now::Nobody))).await;
         let now = known.ok().and_then(Result::ok).map(|now| now.clone());
         match now {
             Some(Now::Here(guarded, _)) => answered(guarded.oneshot(request).await),
@@ -258,7 +277,10 @@ fn answered<B>(answer: Result<Response<B>, Infallible>) -> Response<B> {
 
 /// Whether a caller shows a certificate and no token.
 fn is_known_by_certificate<B>(request: &Request<B>) -> bool {
-    let certificate = request.extensions().get::<Peer>().and_then(|peer| peer.certificate.as_ref());
+    let certificate = request
+        .extensions()
+        .get::<Peer>()
+        .and_then(|peer| peer.certificate.as_ref());
     certificate.is_some() && !request.headers().contains_key(header::AUTHORIZATION)
 }
 

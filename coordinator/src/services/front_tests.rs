@@ -31,10 +31,14 @@ async fn replica(server: &Postgres, name: &'static str) -> One {
     let folder = tempfile::tempdir().unwrap();
     let address = DatabaseAddress::parse(&server.url(), None, None).unwrap();
     let connections = Connections::new(ConnectionLimits::for_descriptors(1024));
-    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections).await.unwrap();
+    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections)
+        .await
+        .unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
     let own = url.clone();
-    let joined = tokio::task::spawn_blocking(move || Replica::join(&address, name, &own)).await.unwrap();
+    let joined = tokio::task::spawn_blocking(move || Replica::join(&address, name, &own))
+        .await
+        .unwrap();
     let replica = Arc::new(joined.unwrap());
     let front = Front::new(Credentials::default(), false);
     let (serving, data) = (front.clone(), folder.path().to_owned());
@@ -47,8 +51,18 @@ async fn replica(server: &Postgres, name: &'static str) -> One {
         };
         front.follow(&followed, open).await
     });
-    let channel = Channel::from_shared(url.clone()).unwrap().connect().await.unwrap();
-    One { url, replica, channel, following, _folder: folder }
+    let channel = Channel::from_shared(url.clone())
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
+    One {
+        url,
+        replica,
+        channel,
+        following,
+        _folder: folder,
+    }
 }
 
 async fn until(replica: &Replica, seen: impl Fn(&Role) -> bool) {
@@ -57,15 +71,27 @@ async fn until(replica: &Replica, seen: impl Fn(&Role) -> bool) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let first = replica(&server, "first").await;
     until(&first.replica, |role| matches!(role, Role::Leads(_))).await;
     let second = replica(&server, "second").await;
-    until(&second.replica, |role| matches!(role, Role::StandsBy(Some(_)))).await;
+    until(&second.replica, |role| {
+        matches!(role, Role::StandsBy(Some(_)))
+    })
+    .await;
 
     // An answer, an error and a stream of the leader's.
     let mut jobs = JobsClient::new(second.channel.clone());
-    assert!(jobs.list(v1::ListRequest::default()).await.unwrap().into_inner().jobs.is_empty());
+    assert!(
+        jobs.list(v1::ListRequest::default())
+            .await
+            .unwrap()
+            .into_inner()
+            .jobs
+            .is_empty()
+    );
     let unknown = jobs.show(v1::ShowRequest { job: 7 }).await.unwrap_err();
     assert_eq!(unknown.code(), Code::NotFound, "{unknown}");
     let (say, said) = tokio::sync::mpsc::channel(4);
@@ -76,20 +102,41 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
         ..Default::default()
     };
     let hello = v1::worker_message::Message::Hello(hello);
-    say.send(v1::WorkerMessage { message: Some(hello) }).await.unwrap();
+    say.send(v1::WorkerMessage {
+        message: Some(hello),
+    })
+    .await
+    .unwrap();
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
-    let mut heard = WorkersClient::new(second.channel.clone()).work(said).await.unwrap().into_inner();
+    let mut heard = WorkersClient::new(second.channel.clone())
+        .work(said)
+        .await
+        .unwrap()
+        .into_inner();
     assert!(heard.next().await.unwrap().is_ok());
 
     // The process answers for its health, and passes nothing on that was passed on.
-    let health = HealthCheckRequest { service: String::new() };
-    HealthClient::new(second.channel.clone()).check(health).await.unwrap();
+    let health = HealthCheckRequest {
+        service: String::new(),
+    };
+    HealthClient::new(second.channel.clone())
+        .check(health)
+        .await
+        .unwrap();
     let mut again = tonic::Request::new(v1::ListRequest::default());
-    again.metadata_mut().insert("sightline-forwarded", "1".parse().unwrap());
-    assert_eq!(jobs.list(again).await.unwrap_err().code(), Code::Unavailable);
+    again
+        .metadata_mut()
+        .insert("sightline-forwarded", "1".parse().unwrap());
+    assert_eq!(
+        jobs.list(again).await.unwrap_err().code(),
+        Code::Unavailable
+    );
 
     first.replica.resign().await;
-    assert!(matches!(first.following.await.unwrap(), Err(ReplicaError::Ended(_))));
+    assert!(matches!(
+        first.following.await.unwrap(),
+        Err(ReplicaError::Ended(_))
+    ));
     // The stream ends with a status that tells to try again; a call waits until somebody leads.
     let ended = loop {
         match heard.next().await {
@@ -100,9 +147,23 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
     };
     assert_eq!(ended.code(), Code::Unavailable, "{ended}");
     assert!(ended.message().contains(&first.url), "{ended}");
-    let answered = tokio::time::timeout(Duration::from_secs(60), jobs.list(v1::ListRequest::default()));
-    assert!(answered.await.unwrap().unwrap().into_inner().jobs.is_empty());
+    let answered = tokio::time::timeout(
+        Duration::from_secs(60),
+        jobs.list(v1::ListRequest::default()),
+    );
+    assert!(
+        answered
+            .await
+            .unwrap()
+            .unwrap()
+            .into_inner()
+            .jobs
+            .is_empty()
+    );
     until(&second.replica, |role| matches!(role, Role::Leads(_))).await;
     second.replica.resign().await;
-    assert!(matches!(second.following.await.unwrap(), Err(ReplicaError::Ended(_))));
+    assert!(matches!(
+        second.following.await.unwrap(),
+        Err(ReplicaError::Ended(_))
+    ));
 }

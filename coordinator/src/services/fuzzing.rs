@@ -66,12 +66,17 @@ impl Interface {
     /// # Panics
     /// Panics if the compiled descriptors cannot be read.
     pub fn new() -> Self {
-        #[expect(clippy::unwrap_used, reason = "the descriptors are part of the program")]
+        #[expect(
+            clippy::unwrap_used,
+            reason = "the descriptors are part of the program"
+        )]
         let files = FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap();
         let (mut methods, mut messages) = (Vec::new(), BTreeMap::new());
         for file in &files.file {
             let package = format!(".{}", file.package());
-            file.message_type.iter().for_each(|m| add(&mut messages, &package, m));
+            file.message_type
+                .iter()
+                .for_each(|m| add(&mut messages, &package, m));
             for service in &file.service {
                 let method = |m: &MethodDescriptorProto| Method {
                     path: format!("/{}.{}/{}", file.package(), service.name(), m.name()),
@@ -94,12 +99,16 @@ impl Interface {
             ".sightline.v1.JobSpec" if !bytes.one_in(4) => out.extend(&known.spec),
             _ => {}
         }
-        let Some(descriptor) = self.messages.get(name) else { return out };
+        let Some(descriptor) = self.messages.get(name) else {
+            return out;
+        };
         for field in &descriptor.field {
             let count = match field.label() {
                 Label::Repeated => bytes.below(4),
                 // Of a choice one field is enough.
-                _ if field.oneof_index.is_some() => usize::from(bytes.one_in(descriptor.field.len().min(4))),
+                _ if field.oneof_index.is_some() => {
+                    usize::from(bytes.one_in(descriptor.field.len().min(4)))
+                }
                 _ => usize::from(!bytes.one_in(4)),
             };
             for _ in 0..if depth < DEEPEST { count } else { 0 } {
@@ -116,34 +125,73 @@ impl Interface {
                         let long = "x".repeat(300);
                         put(
                             &mut out,
-                            bytes.pick(&["fuzz", "w", "cpu/test", "", "\u{202e}\n", &long]).as_bytes(),
+                            bytes
+                                .pick(&["fuzz", "w", "cpu/test", "", "\u{202e}\n", &long])
+                                .as_bytes(),
                         );
                     }
                     Type::Bytes => {
                         key(WireType::LengthDelimited);
-                        let digest =
-                            bytes.pick(&[known.scene, known.scene, blake3::hash(b"fuzz").into(), [0; 32]]);
+                        let digest = bytes.pick(&[
+                            known.scene,
+                            known.scene,
+                            blake3::hash(b"fuzz").into(),
+                            [0; 32],
+                        ]);
                         let length = if bytes.one_in(4) { bytes.below(40) } else { 32 };
                         put(&mut out, digest.get(..length).unwrap_or(&digest));
                     }
                     Type::Double | Type::Fixed64 | Type::Sfixed64 => {
                         key(WireType::SixtyFourBit);
-                        let number =
-                            bytes.pick(&[0.0, 0.5, 1.0, -1.0, 1e308, 5e-324, f64::NAN, f64::INFINITY, 90.0]);
+                        let number = bytes.pick(&[
+                            0.0,
+                            0.5,
+                            1.0,
+                            -1.0,
+                            1e308,
+                            5e-324,
+                            f64::NAN,
+                            f64::INFINITY,
+                            90.0,
+                        ]);
                         out.extend(number.to_le_bytes());
                     }
                     Type::Float | Type::Fixed32 | Type::Sfixed32 => {
                         key(WireType::ThirtyTwoBit);
-                        let number =
-                            bytes.pick(&[0.0, 0.5, 1.0, -1.0, 3e38, 1e-45, f32::NAN, f32::INFINITY, 64.0]);
+                        let number = bytes.pick(&[
+                            0.0,
+                            0.5,
+                            1.0,
+                            -1.0,
+                            3e38,
+                            1e-45,
+                            f32::NAN,
+                            f32::INFINITY,
+                            64.0,
+                        ]);
                         out.extend(number.to_le_bytes());
                     }
                     _ => {
                         key(WireType::Varint);
                         let small = bytes.below(5) as u64;
-                        let large =
-                            [u64::MAX, u64::from(u32::MAX), 1 << 63, 1 << 31, 1 << 20, 65_536, 4096, 300];
-                        encode_varint(if bytes.one_in(3) { bytes.pick(&large) } else { small }, &mut out);
+                        let large = [
+                            u64::MAX,
+                            u64::from(u32::MAX),
+                            1 << 63,
+                            1 << 31,
+                            1 << 20,
+                            65_536,
+                            4096,
+                            300,
+                        ];
+                        encode_varint(
+                            if bytes.one_in(3) {
+                                bytes.pick(&large)
+                            } else {
+                                small
+                            },
+                            &mut out,
+                        );
                     }
                 }
             }
@@ -160,7 +208,10 @@ impl Default for Interface {
 
 fn add(messages: &mut BTreeMap<String, DescriptorProto>, scope: &str, message: &DescriptorProto) {
     let name = format!("{scope}.{}", message.name());
-    message.nested_type.iter().for_each(|m| add(messages, &name, m));
+    message
+        .nested_type
+        .iter()
+        .for_each(|m| add(messages, &name, m));
     messages.insert(name, message.clone());
 }
 
@@ -219,8 +270,14 @@ impl Entropy<'_> {
 /// # Panics
 /// Panics if a call panics or fails for an internal reason. No bytes may cause that.
 pub fn calls(interface: &Interface, bytes: &[u8]) -> Vec<(String, Code)> {
-    #[expect(clippy::unwrap_used, reason = "without a runtime there is nothing to test")]
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    #[expect(
+        clippy::unwrap_used,
+        reason = "without a runtime there is nothing to test"
+    )]
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap();
     let made = runtime.block_on(make_calls(interface, &mut Entropy(bytes)));
     // Work that a call left behind.
     runtime.shutdown_timeout(Duration::from_secs(10));
@@ -234,11 +291,24 @@ async fn make_calls(
 ) -> Result<Vec<(String, Code)>, Box<dyn std::error::Error>> {
     let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
     let coordinator = Coordinator::new(Leases::default(), store, blobs, Box::new(SystemClock))?;
-    let triangles = vec![Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] }];
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 1 }];
+    let triangles = vec![Triangle {
+        v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+    }];
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: 1,
+    }];
     let scene = coordinator.take_scene(&Scene::new("fuzz", triangles, objects)?)?;
-    let spec = JobSpec::new(scene, Division::Grid([2, 1, 1]), Aabb::new(Vec3::ZERO, Vec3::ONE));
-    let known = Fixture { scene, spec: spec.to_proto().encode_to_vec() };
+    let spec = JobSpec::new(
+        scene,
+        Division::Grid([2, 1, 1]),
+        Aabb::new(Vec3::ZERO, Vec3::ONE),
+    );
+    let known = Fixture {
+        scene,
+        spec: spec.to_proto().encode_to_vec(),
+    };
     let services = Services::new();
     let routes = Guard(Arc::clone(&coordinator)).layer(services.routes(&coordinator).await?);
     let routes = Counting::of(&coordinator).layer(routes);
@@ -248,12 +318,25 @@ async fn make_calls(
         spec: Some(spec.to_proto()),
         ..Default::default()
     };
-    let answer = call(&routes, "/sightline.v1.Jobs/Submit", &[submitted.encode_to_vec()]).await?;
-    assert_eq!(answer.code(), Code::Ok, "the job of the fuzz target is valid");
+    let answer = call(
+        &routes,
+        "/sightline.v1.Jobs/Submit",
+        &[submitted.encode_to_vec()],
+    )
+    .await?;
+    assert_eq!(
+        answer.code(),
+        Code::Ok,
+        "the job of the fuzz target is valid"
+    );
     let mut made = Vec::new();
     while made.len() < CALLS && !bytes.0.is_empty() {
         let method = bytes.pick(&interface.methods);
-        let count = if method.is_stream { 1 + bytes.below(4) } else { 1 };
+        let count = if method.is_stream {
+            1 + bytes.below(4)
+        } else {
+            1
+        };
         let messages: Vec<Vec<u8>> = (0..count)
             .map(|_| {
                 let mut message = match bytes.one_in(8) {
@@ -275,14 +358,22 @@ async fn make_calls(
             Code::Unknown => true,
             _ => false,
         };
-        assert!(!is_fault, "{} answered {code:?} ({text}) to {messages:02x?}", method.path);
+        assert!(
+            !is_fault,
+            "{} answered {code:?} ({text}) to {messages:02x?}",
+            method.path
+        );
         made.push((method.path, code));
     }
     Ok(made)
 }
 
 /// Makes a call and reads the answer; a caller that loses patience counts as cancelled.
-async fn call<S>(routes: &S, path: &str, messages: &[Vec<u8>]) -> Result<Status, Box<dyn std::error::Error>>
+async fn call<S>(
+    routes: &S,
+    path: &str,
+    messages: &[Vec<u8>],
+) -> Result<Status, Box<dyn std::error::Error>>
 where
     S: tower::Service<Request<Body>, Response = tonic::codegen::http::Response<Body>> + Clone,
     S::Error: Into<Box<dyn std::error::Error + Send + Sync>>,
@@ -297,8 +388,11 @@ where
         .header("content-type", "application/grpc")
         .header("te", "trailers")
         .body(Body::new(axum::body::Body::from(frames)))?;
-    let response =
-        routes.clone().oneshot(request).await.map_err(|e| e.into() as Box<dyn std::error::Error>)?;
+    let response = routes
+        .clone()
+        .oneshot(request)
+        .await
+        .map_err(|e| e.into() as Box<dyn std::error::Error>)?;
     let of = |headers: &HeaderMap| Status::from_header_map(headers);
     if let Some(status) = of(response.headers()) {
         return Ok(status);
@@ -334,7 +428,8 @@ mod tests {
     #[test]
     fn fuzzed_calls_do_not_crash() {
         let interface = Interface::new();
-        let first = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(1, |text| text.parse::<u64>().unwrap());
+        let first =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(1, |text| text.parse::<u64>().unwrap());
         let (mut called, mut answered) = (BTreeSet::new(), BTreeSet::new());
         for seed in first..first + RUNS {
             let mut stream = SplitMix64::new(seed);
@@ -353,6 +448,9 @@ mod tests {
         assert!(all.len() >= 25, "{all:?}");
         assert_eq!(called, all, "every call is made");
         // Messages that every call rejects would reach little of the code.
-        assert!(answered.len() * 2 > all.len(), "only {answered:?} succeeded");
+        assert!(
+            answered.len() * 2 > all.len(),
+            "only {answered:?} succeeded"
+        );
     }
 }

@@ -30,7 +30,10 @@ impl<S> Layer<S> for Guard {
     type Service = Guarded<S>;
 
     fn layer(&self, inner: S) -> Guarded<S> {
-        Guarded { inner, coordinator: Arc::clone(&self.0) }
+        Guarded {
+            inner,
+            coordinator: Arc::clone(&self.0),
+        }
     }
 }
 
@@ -55,8 +58,10 @@ where
 {
     type Response = S::Response;
     type Error = S::Error;
-    type Future =
-        Either<BoxFuture<'static, Result<S::Response, S::Error>>, Ready<Result<S::Response, S::Error>>>;
+    type Future = Either<
+        BoxFuture<'static, Result<S::Response, S::Error>>,
+        Ready<Result<S::Response, S::Error>>,
+    >;
 
     fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), Self::Error>> {
         self.inner.poll_ready(context)
@@ -65,8 +70,9 @@ where
     fn call(&mut self, mut request: http::Request<Body>) -> Self::Future {
         if let Some(access) = self.coordinator.access.get() {
             let peer = request.extensions().get::<Peer>();
-            let certificate =
-                peer.and_then(|peer| peer.certificate.as_ref()).map(|shown| shown.as_ref().as_ref());
+            let certificate = peer
+                .and_then(|peer| peer.certificate.as_ref())
+                .map(|shown| shown.as_ref().as_ref());
             match admitted(access, request.headers(), certificate, request.uri().path()) {
                 Ok(caller) => drop(request.extensions_mut().insert(caller)),
                 Err(status) => return Either::Right(ready(Ok(status.into_http()))),
@@ -86,7 +92,10 @@ where
                     room = last;
                     Body::new(body)
                 });
-                let held = CallRight { _permit: permit, _room: room };
+                let held = CallRight {
+                    _permit: permit,
+                    _room: room,
+                };
                 let answer = self.inner.call(request);
                 // It lasts as long as the answer, of a stream until its end: the body takes it from there.
                 Either::Left(Box::pin(async move {
@@ -111,7 +120,9 @@ pub(super) fn permitted(c: &Coordinator, caller: Option<&Caller>) -> Result<Perm
         }
         _ => None,
     };
-    let (user, quota) = quota.as_ref().map_or(("", None), |(user, quota)| (user.as_str(), Some(quota)));
+    let (user, quota) = quota
+        .as_ref()
+        .map_or(("", None), |(user, quota)| (user.as_str(), Some(quota)));
     c.pace.begin(user, quota, Instant::now()).map_err(|beyond| {
         c.metrics.refused(beyond.name());
         Status::resource_exhausted(beyond.to_string())
@@ -125,16 +136,18 @@ pub(super) fn admitted(
     certificate: Option<&[u8]>,
     path: &str,
 ) -> Result<Caller, Status> {
-    let token =
-        match headers.get(http::header::AUTHORIZATION) {
-            None => None,
-            Some(value) => {
-                let text = value.to_str().ok().and_then(|text| text.strip_prefix("Bearer "));
-                Some(text.ok_or_else(|| {
-                    Status::unauthenticated("send the token as `authorization: Bearer TOKEN`")
-                })?)
-            }
-        };
+    let token = match headers.get(http::header::AUTHORIZATION) {
+        None => None,
+        Some(value) => {
+            let text = value
+                .to_str()
+                .ok()
+                .and_then(|text| text.strip_prefix("Bearer "));
+            Some(text.ok_or_else(|| {
+                Status::unauthenticated("send the token as `authorization: Bearer TOKEN`")
+            })?)
+        }
+    };
     admitted_with(access, token, certificate, path)
 }
 
@@ -145,7 +158,9 @@ pub(super) fn admitted_with(
     certificate: Option<&[u8]>,
     path: &str,
 ) -> Result<Caller, Status> {
-    let by = |token, certificate| admitted_by(access, path, |access| access.identify(token, certificate));
+    let by = |token, certificate| {
+        admitted_by(access, path, |access| access.identify(token, certificate))
+    };
     // A worker may have both, and either is enough.
     by(token, certificate)
         .or_else(|status| by(None, certificate.filter(|_| token.is_some())).map_err(|_| status))
@@ -158,15 +173,20 @@ pub(super) fn admitted_by(
     identify: impl FnOnce(&Access) -> Result<Caller, &'static str>,
 ) -> Result<Caller, Status> {
     let caller = identify(access).map_err(Status::unauthenticated)?;
-    access.permit(&caller, needed(path)).map_err(|refusal| match refusal {
-        Refusal::Unknown(text) => Status::unauthenticated(text),
-        Refusal::Scope(text) => Status::permission_denied(text),
-    })?;
+    access
+        .permit(&caller, needed(path))
+        .map_err(|refusal| match refusal {
+            Refusal::Unknown(text) => Status::unauthenticated(text),
+            Refusal::Scope(text) => Status::permission_denied(text),
+        })?;
     Ok(match (access.has_tokens(), caller) {
         // Where clients have no tokens nothing belongs to anybody.
         (false, _) => Caller::Nobody,
         // Who has not said who they are see nothing.
-        (true, Caller::Nobody) => Caller::User { name: String::new(), scopes: Scopes::default() },
+        (true, Caller::Nobody) => Caller::User {
+            name: String::new(),
+            scopes: Scopes::default(),
+        },
         (true, caller) => caller,
     })
 }
@@ -181,7 +201,11 @@ pub(super) fn caller<T>(c: &Coordinator, r: &Request<T>) -> Result<Caller, Statu
 }
 
 /// The job of this number, if the caller of `r` may see it. One that belongs to somebody else does not exist.
-pub(super) async fn own_job<T>(c: &Arc<Coordinator>, r: &Request<T>, job: u64) -> Result<JobId, Status> {
+pub(super) async fn own_job<T>(
+    c: &Arc<Coordinator>,
+    r: &Request<T>,
+    job: u64,
+) -> Result<JobId, Status> {
     let caller = caller(c, r)?;
     let id = JobId(job);
     if caller.sees_all() {

@@ -69,9 +69,13 @@ impl v1::jobs_server::Jobs for JobsService {
                 asked.len()
             )));
         }
-        let digests = asked.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        let digests = asked
+            .iter()
+            .map(|d| wire::digest(d))
+            .collect::<Result<Vec<_>, _>>()?;
         blocking(&self.0, move |c| {
-            let missing = scenes::missing(c, caller.owner(), digests).map_err(|e| status::of_upload(&e))?;
+            let missing =
+                scenes::missing(c, caller.owner(), digests).map_err(|e| status::of_upload(&e))?;
             let digests = missing.iter().map(|d| d.to_vec()).collect();
             Ok(Response::new(v1::MissingChunksResponse { digests }))
         })
@@ -100,9 +104,15 @@ impl v1::jobs_server::Jobs for JobsService {
         let r = r.into_inner();
         let whole = wire::digest(&r.digest)?;
         if r.chunks.len() > MAX_CHUNKS {
-            return Err(Status::invalid_argument("the scene has too many chunks; split it"));
+            return Err(Status::invalid_argument(
+                "the scene has too many chunks; split it",
+            ));
         }
-        let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        let parts = r
+            .chunks
+            .iter()
+            .map(|d| wire::digest(d))
+            .collect::<Result<Vec<_>, _>>()?;
         let (owner, asked) = (caller.owner().to_owned(), parts.clone());
         blocking(&self.0, move |c| {
             scenes::check_sent(c, &owner, whole, &asked).map_err(|e| status::of_upload(&e))
@@ -111,22 +121,31 @@ impl v1::jobs_server::Jobs for JobsService {
         let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
         blocking_one_of(&self.0, &self.0.files, move |c| {
             let _large = large;
-            let record =
-                scenes::put_scene(c, caller.owner(), whole, &parts).map_err(|e| status::of_upload(&e))?;
+            let record = scenes::put_scene(c, caller.owner(), whole, &parts)
+                .map_err(|e| status::of_upload(&e))?;
             found::back(c, Lacks::Scene(whole));
             Ok(Response::new(wire::scene(&record)))
         })
         .await
     }
 
-    async fn put_receivers(&self, r: Request<v1::PutReceiversRequest>) -> Answer<v1::ReceiversInfo> {
+    async fn put_receivers(
+        &self,
+        r: Request<v1::PutReceiversRequest>,
+    ) -> Answer<v1::ReceiversInfo> {
         let caller = caller(&self.0, &r)?;
         let r = r.into_inner();
         let whole = wire::digest(&r.digest)?;
         if r.chunks.len() > MAX_CHUNKS {
-            return Err(Status::invalid_argument("the receivers have too many chunks; use several jobs"));
+            return Err(Status::invalid_argument(
+                "the receivers have too many chunks; use several jobs",
+            ));
         }
-        let parts = r.chunks.iter().map(|d| wire::digest(d)).collect::<Result<Vec<_>, _>>()?;
+        let parts = r
+            .chunks
+            .iter()
+            .map(|d| wire::digest(d))
+            .collect::<Result<Vec<_>, _>>()?;
         let large = large(&self.0, caller.owner(), is_large(&parts)).await?;
         blocking_one_of(&self.0, &self.0.files, move |c| {
             let _large = large;
@@ -134,42 +153,66 @@ impl v1::jobs_server::Jobs for JobsService {
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
             found::back(c, Lacks::Receivers(whole));
             let (points, lights) = (facts.points, facts.lights);
-            Ok(Response::new(v1::ReceiversInfo { digest: whole.to_vec(), points, lights }))
+            Ok(Response::new(v1::ReceiversInfo {
+                digest: whole.to_vec(),
+                points,
+                lights,
+            }))
         })
         .await
     }
 
-    async fn put_scene_file(&self, r: Request<Streaming<v1::SceneFilePart>>) -> Answer<v1::SceneFileInfo> {
+    async fn put_scene_file(
+        &self,
+        r: Request<Streaming<v1::SceneFilePart>>,
+    ) -> Answer<v1::SceneFileInfo> {
         use v1::scene_file_part::Part;
         let caller = caller(&self.0, &r)?;
         let mut parts = r.into_inner();
-        let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part) else {
-            return Err(Status::invalid_argument("a file's first part must be its header"));
+        let Some(Part::Header(header)) = parts.next().await.transpose()?.and_then(|p| p.part)
+        else {
+            return Err(Status::invalid_argument(
+                "a file's first part must be its header",
+            ));
         };
         let chunk_of = |part: v1::SceneFilePart| match part.part {
             Some(Part::Chunk(chunk)) => Ok(chunk),
-            _ => Err(Status::invalid_argument("after a file's header only chunks may come")),
+            _ => Err(Status::invalid_argument(
+                "after a file's header only chunks may come",
+            )),
         };
         // From here on the header takes little memory, however long the file takes.
         let (name, rules) = (file_name(header.name)?, rules(header.rules)?);
         let first = parts.next().await.transpose()?.map(chunk_of).transpose()?;
         // The first chunk announces the length.
-        let first = first.ok_or_else(|| Status::data_loss("the stream ended before the first chunk"))?;
+        let first =
+            first.ok_or_else(|| Status::data_loss("the stream ended before the first chunk"))?;
         let spool = begin_file(&self.0, &caller, first.total).await?;
         let spool = filled(&self.0, spool, Some(first), &mut parts, chunk_of).await?;
-        take_file(&self.0, caller, name, rules, spool).await.map(Response::new)
+        take_file(&self.0, caller, name, rules, spool)
+            .await
+            .map(Response::new)
     }
 
     async fn submit(&self, r: Request<v1::SubmitRequest>) -> Answer<v1::SubmitResponse> {
         let caller = caller(&self.0, &r)?;
         // What is no header of a trace leads to nothing.
-        let cause = r.metadata().get("traceparent").and_then(|text| parent_of(text.to_str().ok()?));
+        let cause = r
+            .metadata()
+            .get("traceparent")
+            .and_then(|text| parent_of(text.to_str().ok()?));
         let r = r.into_inner();
         blocking(&self.0, move |c| {
-            let submission = Submission { cause, ..submission(c, &caller, r)? };
+            let submission = Submission {
+                cause,
+                ..submission(c, &caller, r)?
+            };
             let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
             let job = jobs::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
-            let answer = v1::SubmitResponse { job: Some(wire::job(&job)), existing: submitted.existing };
+            let answer = v1::SubmitResponse {
+                job: Some(wire::job(&job)),
+                existing: submitted.existing,
+            };
             Ok(Response::new(answer))
         })
         .await
@@ -180,7 +223,8 @@ impl v1::jobs_server::Jobs for JobsService {
         let (user, r) = (caller.owner().to_owned(), r.into_inner());
         in_turn(&self.0, &self.0.lookups, &user, move |c, _| {
             let submission = draft(c, &caller, r)?;
-            let estimate = estimate::estimate(c, &caller, &submission).map_err(|e| status::of_submit(&e))?;
+            let estimate =
+                estimate::estimate(c, &caller, &submission).map_err(|e| status::of_submit(&e))?;
             Ok(Response::new(wire::estimate(estimate)))
         })
         .await
@@ -188,10 +232,30 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn list(&self, r: Request<v1::ListRequest>) -> Answer<v1::ListResponse> {
         let caller = caller(&self.0, &r)?;
-        let phases = r.get_ref().states().map(wire::phase).collect::<Result<Vec<_>, _>>()?;
-        let v1::ListRequest { limit, before, name, user, scene, .. } = r.into_inner();
-        let scene = if scene.is_empty() { None } else { Some(wire::digest(&scene)?) };
-        let wanted = Wanted { phases, name, user, scene };
+        let phases = r
+            .get_ref()
+            .states()
+            .map(wire::phase)
+            .collect::<Result<Vec<_>, _>>()?;
+        let v1::ListRequest {
+            limit,
+            before,
+            name,
+            user,
+            scene,
+            ..
+        } = r.into_inner();
+        let scene = if scene.is_empty() {
+            None
+        } else {
+            Some(wire::digest(&scene)?)
+        };
+        let wanted = Wanted {
+            phases,
+            name,
+            user,
+            scene,
+        };
         if limit > MAX_PAGE {
             return Err(Status::invalid_argument(format!(
                 "a page of {limit} jobs was asked for; ask for at most {MAX_PAGE}"
@@ -202,7 +266,10 @@ impl v1::jobs_server::Jobs for JobsService {
         blocking(&self.0, move |c| {
             let (list, older) =
                 jobs::list(c, &caller, before, most, &wanted).map_err(|e| status::of_store(&e))?;
-            Ok(Response::new(v1::ListResponse { jobs: list.iter().map(wire::job).collect(), older }))
+            Ok(Response::new(v1::ListResponse {
+                jobs: list.iter().map(wire::job).collect(),
+                older,
+            }))
         })
         .await
     }
@@ -210,9 +277,19 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let summary = summary(&self.0, id).await?;
-        let unable = jobs::unable(&self.0, id).into_iter().map(wire::unable).collect();
-        let teams = jobs::teams(&self.0, id).into_iter().map(wire::team).collect();
-        Ok(Response::new(v1::Job { unable, teams, ..wire::job(&summary) }))
+        let unable = jobs::unable(&self.0, id)
+            .into_iter()
+            .map(wire::unable)
+            .collect();
+        let teams = jobs::teams(&self.0, id)
+            .into_iter()
+            .map(wire::team)
+            .collect();
+        Ok(Response::new(v1::Job {
+            unable,
+            teams,
+            ..wire::job(&summary)
+        }))
     }
 
     type WatchStream = Pin<Box<dyn Stream<Item = Result<v1::Job, Status>> + Send>>;
@@ -224,7 +301,9 @@ impl v1::jobs_server::Jobs for JobsService {
         let first = summary(&self.0, id).await?;
         let (out, stream) = mpsc::channel(4);
         tokio::spawn(follow(Arc::clone(&self.0), id, first, changes, out));
-        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(stream))))
+        Ok(Response::new(Box::pin(
+            tokio_stream::wrappers::ReceiverStream::new(stream),
+        )))
     }
 
     async fn cancel(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
@@ -267,14 +346,19 @@ impl v1::jobs_server::Jobs for JobsService {
 
     async fn fetch_partial(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchPartialStream> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
-        so_far(&self.0, caller(&self.0, &r)?.owner(), id).await.map(Response::new)
+        so_far(&self.0, caller(&self.0, &r)?.owner(), id)
+            .await
+            .map(Response::new)
     }
 
     type FetchStream = ChunkStream;
 
     async fn fetch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchStream> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
-        let result = blocking(&self.0, move |c| jobs::result(c, id).map_err(|e| status::of_job(&e))).await?;
+        let result = blocking(&self.0, move |c| {
+            jobs::result(c, id).map_err(|e| status::of_job(&e))
+        })
+        .await?;
         stream_blob(&self.0, result).await.map(Response::new)
     }
 }
@@ -305,10 +389,15 @@ fn is_large(parts: &[Digest]) -> bool {
 /// # Errors
 /// INVALID_ARGUMENT when a file has at most fewer bytes, RESOURCE_EXHAUSTED when the sender or all together
 /// would have too many.
-pub(super) async fn begin_file(c: &Arc<Coordinator>, caller: &Caller, bytes: u64) -> Result<Spool, Status> {
+pub(super) async fn begin_file(
+    c: &Arc<Coordinator>,
+    caller: &Caller,
+    bytes: u64,
+) -> Result<Spool, Status> {
     let owner = caller.owner().to_owned();
-    let begin =
-        move |c: &Arc<Coordinator>| scene_files::begin(c, &owner, bytes).map_err(|e| status::of_file(&e));
+    let begin = move |c: &Arc<Coordinator>| {
+        scene_files::begin(c, &owner, bytes).map_err(|e| status::of_file(&e))
+    };
     blocking(c, begin).await
 }
 
@@ -363,14 +452,25 @@ pub(super) async fn take_file(
         let taken = scene_files::take(c, caller.owner(), &name, spool, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
         found::back(c, Lacks::Scene(record.digest));
-        Ok(v1::SceneFileInfo { scene: Some(wire::scene(&record)), warnings })
+        Ok(v1::SceneFileInfo {
+            scene: Some(wire::scene(&record)),
+            warnings,
+        })
     })
     .await
 }
 
 /// The result of a job as a stream, or what is done of one that has not ended.
-pub(super) async fn so_far(c: &Arc<Coordinator>, user: &str, id: JobId) -> Result<ChunkStream, Status> {
-    match blocking(c, move |c| jobs::result(c, id).map(Some).or_else(|e| none_yet(&e))).await? {
+pub(super) async fn so_far(
+    c: &Arc<Coordinator>,
+    user: &str,
+    id: JobId,
+) -> Result<ChunkStream, Status> {
+    match blocking(c, move |c| {
+        jobs::result(c, id).map(Some).or_else(|e| none_yet(&e))
+    })
+    .await?
+    {
         Some(result) => stream_blob(c, result).await,
         None => {
             let made = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
@@ -391,7 +491,10 @@ fn none_yet(e: &JobError) -> Result<Option<Digest>, Status> {
 }
 
 async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
-    blocking(c, move |c| jobs::summary(c, id).map_err(|e| status::of_store(&e))).await
+    blocking(c, move |c| {
+        jobs::summary(c, id).map_err(|e| status::of_store(&e))
+    })
+    .await
 }
 
 /// A priority from the wire.
@@ -400,15 +503,25 @@ fn checked_priority(priority: i32) -> Result<i32, Status> {
         return Ok(priority);
     }
     let (least, most) = (PRIORITIES.start(), PRIORITIES.end());
-    Err(Status::invalid_argument(format!("the priority {priority} is not between {least} and {most}")))
+    Err(Status::invalid_argument(format!(
+        "the priority {priority} is not between {least} and {most}"
+    )))
 }
 
 /// A submission on a stored scene.
-fn submission(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submission, Status> {
+fn submission(
+    c: &Coordinator,
+    caller: &Caller,
+    r: v1::SubmitRequest,
+) -> Result<Submission, Status> {
     let submission = draft(c, caller, r)?;
     let scene = submission.spec.scene;
     scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
-    let is_culled = || scenes::facts(c, &scene).map(|f| f.culled).map_err(|e| status::of_facts(&e));
+    let is_culled = || {
+        scenes::facts(c, &scene)
+            .map(|f| f.culled)
+            .map_err(|e| status::of_facts(&e))
+    };
     if submission.spec.method != Method::Aggressive && is_culled()? {
         return Err(Status::invalid_argument(
             "back faces of the scene are culled, and exact queries take every triangle as seen from both \
@@ -421,7 +534,10 @@ fn submission(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<
 /// A submission from the wire. A view box that is left out is the bounds of the scene, which must be stored
 /// then.
 fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submission, Status> {
-    let spec = r.spec.as_ref().ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
+    let spec = r
+        .spec
+        .as_ref()
+        .ok_or_else(|| Status::invalid_argument("the job has no specification"))?;
     let scene = wire::digest(&spec.scene)?;
     let record = match scenes::known(c, caller, scene) {
         Ok(record) => Some(record),
@@ -435,7 +551,12 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         let stored = receivers::known(c, caller, digest).map_err(|e| status::of_receivers(&e))?;
         let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
         let (bytes, points, lights) = (Some(bytes), Some(points), Some(lights));
-        *ambient = v1::Ambient { receivers: digest.to_vec(), bytes, points, lights };
+        *ambient = v1::Ambient {
+            receivers: digest.to_vec(),
+            bytes,
+            points,
+            lights,
+        };
     }
     let bounds = match spec.view_box.is_empty() && spec.ambient.is_none() {
         true => {
@@ -444,14 +565,29 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         }
         false => None,
     };
-    let facts = SceneFacts { triangles: record.map_or(0, |record| record.triangles), bounds };
-    let spec =
-        JobSpec::from_proto(&spec, Some(facts)).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let facts = SceneFacts {
+        triangles: record.map_or(0, |record| record.triangles),
+        bounds,
+    };
+    let spec = JobSpec::from_proto(&spec, Some(facts))
+        .map_err(|e| Status::invalid_argument(e.to_string()))?;
     let priority = checked_priority(r.priority)?;
     let owner = caller.owner().to_owned();
     // Users share the workers evenly, so nobody may take another's share.
-    let user = if caller.sees_all() && !r.user.is_empty() { r.user } else { owner.clone() };
-    Ok(Submission { request_id: r.request_id, name: r.name, owner, user, priority, spec, cause: None })
+    let user = if caller.sees_all() && !r.user.is_empty() {
+        r.user
+    } else {
+        owner.clone()
+    };
+    Ok(Submission {
+        request_id: r.request_id,
+        name: r.name,
+        owner,
+        user,
+        priority,
+        spec,
+        cause: None,
+    })
 }
 
 /// Sends a job's summary after every change, until the job ends or nobody reads.

@@ -64,7 +64,12 @@ pub(super) struct Metered {
 
 impl Metered {
     /// Meters the body of a call, by the path of the call.
-    pub(super) fn new(body: Body, intake: &Arc<Intake>, user: &str, path: &str) -> (Self, LastRoom) {
+    pub(super) fn new(
+        body: Body,
+        intake: &Arc<Intake>,
+        user: &str,
+        path: &str,
+    ) -> (Self, LastRoom) {
         let room = LastRoom::default();
         let method = path.rsplit('/').next().unwrap_or_default();
         let is_chunks = method == ONLY_CHUNKS;
@@ -73,7 +78,11 @@ impl Metered {
             intake: Arc::clone(intake),
             user: user.to_owned(),
             growth: if is_chunks { 1 } else { GROWTH },
-            later_growth: if is_chunks || CHUNKS.contains(&method) { 1 } else { GROWTH },
+            later_growth: if is_chunks || CHUNKS.contains(&method) {
+                1
+            } else {
+                GROWTH
+            },
             framing: Framing::default(),
             room: Arc::clone(&room),
             waiting: None,
@@ -117,7 +126,8 @@ impl HttpBody for Metered {
             && let Some(deadline) = &mut self.deadline
             && deadline.as_mut().poll(context).is_ready()
         {
-            let text = format!("a message did not arrive within {MESSAGE_TIME:?}; send the request again");
+            let text =
+                format!("a message did not arrive within {MESSAGE_TIME:?}; send the request again");
             return Poll::Ready(Some(Err(Status::deadline_exceeded(text))));
         }
         let frame = ready!(frame);
@@ -133,10 +143,14 @@ impl HttpBody for Metered {
             self.begun = first + rest;
             if self.begun > SMALL {
                 let (intake, user) = (Arc::clone(&self.intake), self.user.clone());
-                let bytes = first.saturating_mul(growth).saturating_add(rest.saturating_mul(later));
+                let bytes = first
+                    .saturating_mul(growth)
+                    .saturating_add(rest.saturating_mul(later));
                 self.waiting = Some(Box::pin(async move {
                     intake.room(&user, bytes).await.map_err(|_| {
-                        Status::unavailable("the coordinator is stopping; try again when it is back")
+                        Status::unavailable(
+                            "the coordinator is stopping; try again when it is back",
+                        )
                     })
                 }));
             }
@@ -179,7 +193,9 @@ impl Framing {
     fn announced(&mut self, mut part: &[u8]) -> Option<MessageLengths> {
         let mut begun = None;
         while !part.is_empty() {
-            let skipped = usize::try_from(self.rest).unwrap_or(usize::MAX).min(part.len());
+            let skipped = usize::try_from(self.rest)
+                .unwrap_or(usize::MAX)
+                .min(part.len());
             self.rest -= skipped as u64;
             part = &part[skipped..];
             let missing = (5 - self.head.len()).min(part.len());
@@ -191,8 +207,14 @@ impl Framing {
                     self.head.clear();
                     let length = self.rest.min(MAX_MESSAGE);
                     begun = Some(match begun {
-                        None => MessageLengths { first: length, rest: 0 },
-                        Some(MessageLengths { first, rest }) => MessageLengths { first, rest: rest + length },
+                        None => MessageLengths {
+                            first: length,
+                            rest: 0,
+                        },
+                        Some(MessageLengths { first, rest }) => MessageLengths {
+                            first,
+                            rest: rest + length,
+                        },
                     });
                 }
             }
@@ -224,17 +246,32 @@ mod tests {
         let body: Vec<u8> = lengths.iter().flat_map(|n| message(*n)).collect();
         for size in [1, 2, 3, 4, 5, 6, 7, 100, 16_384, body.len()] {
             let mut framing = Framing::default();
-            let begun: Vec<MessageLengths> =
-                body.chunks(size).filter_map(|part| framing.announced(part)).collect();
-            assert_eq!(begun.iter().map(|b| b.first + b.rest).sum::<u64>(), 70_004, "parts of {size} bytes");
+            let begun: Vec<MessageLengths> = body
+                .chunks(size)
+                .filter_map(|part| framing.announced(part))
+                .collect();
+            assert_eq!(
+                begun.iter().map(|b| b.first + b.rest).sum::<u64>(),
+                70_004,
+                "parts of {size} bytes"
+            );
             assert_eq!((framing.rest, framing.head.len()), (0, 0));
         }
         let mut framing = Framing::default();
-        let longest = Some(MessageLengths { first: MAX_MESSAGE, rest: 0 });
+        let longest = Some(MessageLengths {
+            first: MAX_MESSAGE,
+            rest: 0,
+        });
         assert_eq!(framing.announced(&[0, 0xff, 0xff, 0xff, 0xff, 9]), longest);
         // The header of a result and its first chunk in one part.
         let part = [message(40), message(1 << 20)].concat();
-        assert_eq!(Framing::default().announced(&part), Some(MessageLengths { first: 40, rest: 1 << 20 }));
+        assert_eq!(
+            Framing::default().announced(&part),
+            Some(MessageLengths {
+                first: 40,
+                rest: 1 << 20
+            })
+        );
     }
 
     /// A call in progress: the sender of its body, and its body.
@@ -262,7 +299,8 @@ mod tests {
         /// Returns true if the body gives a part now.
         fn reads(&mut self) -> bool {
             let next = std::future::poll_fn(|context| Pin::new(&mut self.body).poll_frame(context));
-            next.now_or_never().is_some_and(|frame| frame.unwrap().is_ok())
+            next.now_or_never()
+                .is_some_and(|frame| frame.unwrap().is_ok())
         }
     }
 
@@ -289,7 +327,9 @@ mod tests {
         assert!(next.reads());
         // A message that was decoded keeps room for its length.
         assert!(!submit_fits(&intake).await);
-        assert!(next.takes(vec![7; MAX_MESSAGE as usize - 9]).await && next.takes(message(1)).await);
+        assert!(
+            next.takes(vec![7; MAX_MESSAGE as usize - 9]).await && next.takes(message(1)).await
+        );
         assert!(submit_fits(&intake).await);
     }
 

@@ -75,7 +75,11 @@ async fn ready<P: Probed>(State(of): State<Arc<P>>) -> Response {
         Ok(Ok(())) => "ready\n".into_response(),
         Ok(Err(reasons)) => {
             let reasons: String = reasons.iter().map(|reason| format!("{reason}\n")).collect();
-            (StatusCode::SERVICE_UNAVAILABLE, format!("not ready\n{reasons}")).into_response()
+            (
+                StatusCode::SERVICE_UNAVAILABLE,
+                format!("not ready\n{reasons}"),
+            )
+                .into_response()
         }
         Err(stopped) => stopped,
     }

@@ -26,7 +26,9 @@ impl v1::results_server::Results for ResultsService {
         let user = caller(&self.0, &r)?;
         let asked = r.into_inner();
         let answer = move |c: &Arc<Coordinator>, _: &dyn Fn() -> bool| {
-            asking::query(c, &asked).map(Response::new).map_err(|e| status::of_ask(&e))
+            asking::query(c, &asked)
+                .map(Response::new)
+                .map_err(|e| status::of_ask(&e))
         };
         in_turn(&self.0, &self.0.lookups, user.owner(), answer).await
     }
@@ -52,7 +54,9 @@ impl ResultsService {
         let user = caller(&self.0, &r)?;
         let asked = r.into_inner();
         let answer = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
-            answer(c, &asked, is_gone).map(Response::new).map_err(|e| status::of_ask(&e))
+            answer(c, &asked, is_gone)
+                .map(Response::new)
+                .map_err(|e| status::of_ask(&e))
         };
         in_turn(&self.0, &self.0.questions, user.owner(), answer).await
     }

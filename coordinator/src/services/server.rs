@@ -95,14 +95,19 @@ impl Service<Request<axum::body::Body>> for Guarding {
     }
 
     fn call(&mut self, request: Request<axum::body::Body>) -> Self::Future {
-        let limit = request.headers().get("grpc-timeout").and_then(|text| timeout_of(text.to_str().ok()?));
+        let limit = request
+            .headers()
+            .get("grpc-timeout")
+            .and_then(|text| timeout_of(text.to_str().ok()?));
         let answer = self.0.call(request.map(Body::new));
         Box::pin(async move {
             let answer = match limit {
                 None => answer.await?,
                 Some(limit) => match tokio::time::timeout(limit, answer).await {
                     Ok(answer) => answer?,
-                    Err(_) => Status::deadline_exceeded(format!("no answer within {limit:?}")).into_http(),
+                    Err(_) => {
+                        Status::deadline_exceeded(format!("no answer within {limit:?}")).into_http()
+                    }
                 },
             };
             Ok(answer.map(axum::body::Body::new))
@@ -114,8 +119,13 @@ impl Service<Request<axum::body::Body>> for Guarding {
 /// digits and a unit.
 fn timeout_of(text: &str) -> Option<Duration> {
     let (at, unit) = text.char_indices().last()?;
-    let digits = text.get(..at).filter(|digits| (1..=8).contains(&digits.len()))?;
-    let count = digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse::<u64>().ok())??;
+    let digits = text
+        .get(..at)
+        .filter(|digits| (1..=8).contains(&digits.len()))?;
+    let count = digits
+        .bytes()
+        .all(|b| b.is_ascii_digit())
+        .then(|| digits.parse::<u64>().ok())??;
     Some(match unit {
         'H' => Duration::from_secs(count * 3600),
         'M' => Duration::from_secs(count * 60),
@@ -137,7 +147,10 @@ impl Services {
     /// The process alone is healthy.
     pub(super) fn new() -> Self {
         let (reporter, health) = tonic_health::server::health_reporter();
-        Self { reporter, health: Routes::new(health) }
+        Self {
+            reporter,
+            health: Routes::new(health),
+        }
     }
 
     /// The service of health alone.
@@ -147,11 +160,17 @@ impl Services {
 
     /// Keeps the health of the name `ready` up to date, until it is aborted.
     pub(super) fn report_readiness(&self, coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
-        tokio::spawn(report_readiness(Arc::clone(coordinator), self.reporter.clone()))
+        tokio::spawn(report_readiness(
+            Arc::clone(coordinator),
+            self.reporter.clone(),
+        ))
     }
 
     /// All services of a coordinator, which are healthy from now on.
-    pub(super) async fn routes(&self, coordinator: &Arc<Coordinator>) -> Result<Routes, ServeError> {
+    pub(super) async fn routes(
+        &self,
+        coordinator: &Arc<Coordinator>,
+    ) -> Result<Routes, ServeError> {
         let broken = |e: &dyn std::fmt::Display| ServeError::Broken(e.to_string());
         let health = &self.reporter;
         health.set_serving::<JobsServer<JobsService>>().await;
@@ -187,7 +206,11 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
         loop {
             tick.tick().await;
             ticks = ticks.wrapping_add(1);
-            if let Some(access) = coordinator.access.get().filter(|_| ticks.is_multiple_of(REFRESH)) {
+            if let Some(access) = coordinator
+                .access
+                .get()
+                .filter(|_| ticks.is_multiple_of(REFRESH))
+            {
                 let access = Arc::clone(access);
                 tokio::task::spawn_blocking(move || access.refresh());
             }
@@ -224,10 +247,14 @@ async fn report_readiness(c: Arc<Coordinator>, health: tonic_health::server::Hea
             continue;
         }
         let (is, status) = match reasons.is_empty() {
-            true => (String::from("the coordinator is ready"), ServingStatus::Serving),
-            false => {
-                (format!("the coordinator is not ready: {}", reasons.join("; ")), ServingStatus::NotServing)
-            }
+            true => (
+                String::from("the coordinator is ready"),
+                ServingStatus::Serving,
+            ),
+            false => (
+                format!("the coordinator is not ready: {}", reasons.join("; ")),
+                ServingStatus::NotServing,
+            ),
         };
         // At the start everybody expects it to become ready.
         if was.is_some() || !reasons.is_empty() {
@@ -244,8 +271,17 @@ mod tests {
 
     #[test]
     fn timeouts_are_read_as_grpc_writes_them() {
-        for (text, seconds) in [("2H", 7200.0), ("3M", 180.0), ("99999999S", 99_999_999.0), ("5m", 0.005)] {
-            assert_eq!(timeout_of(text), Some(Duration::from_secs_f64(seconds)), "{text}");
+        for (text, seconds) in [
+            ("2H", 7200.0),
+            ("3M", 180.0),
+            ("99999999S", 99_999_999.0),
+            ("5m", 0.005),
+        ] {
+            assert_eq!(
+                timeout_of(text),
+                Some(Duration::from_secs_f64(seconds)),
+                "{text}"
+            );
         }
         assert_eq!(timeout_of("7u"), Some(Duration::from_micros(7)));
         assert_eq!(timeout_of("7n"), Some(Duration::from_nanos(7)));

@@ -18,7 +18,11 @@ struct UntilDeadline {
 
 /// Limits the time until the end of a body.
 pub(super) fn until_deadline(body: Body, limit: Duration) -> Body {
-    Body::new(UntilDeadline { body, deadline: Box::pin(tokio::time::sleep(limit)), limit })
+    Body::new(UntilDeadline {
+        body,
+        deadline: Box::pin(tokio::time::sleep(limit)),
+        limit,
+    })
 }
 
 impl HttpBody for UntilDeadline {
@@ -31,7 +35,10 @@ impl HttpBody for UntilDeadline {
     ) -> Poll<Option<Result<Frame<Self::Data>, Self::Error>>> {
         let frame = Pin::new(&mut self.body).poll_frame(context);
         if frame.is_pending() && self.deadline.as_mut().poll(context).is_ready() {
-            let text = format!("the request did not arrive within {:?}; send it again", self.limit);
+            let text = format!(
+                "the request did not arrive within {:?}; send it again",
+                self.limit
+            );
             return Poll::Ready(Some(Err(axum::Error::new(Status::deadline_exceeded(text)))));
         }
         frame
@@ -57,7 +64,11 @@ pub(super) struct UntilSilent<B> {
 impl<B> UntilSilent<B> {
     /// Limits the time between two parts of a body.
     pub(super) fn new(body: B, limit: Duration) -> Self {
-        Self { body, limit, silent: None }
+        Self {
+            body,
+            limit,
+            silent: None,
+        }
     }
 }
 
@@ -82,7 +93,9 @@ where
             self.silent = None;
         } else {
             let limit = self.limit;
-            let silent = self.silent.get_or_insert_with(|| Box::pin(tokio::time::sleep(limit)));
+            let silent = self
+                .silent
+                .get_or_insert_with(|| Box::pin(tokio::time::sleep(limit)));
             if silent.as_mut().poll(context).is_ready() {
                 let text = format!("nothing came for {limit:?}; send the request again");
                 return Poll::Ready(Some(Err(Status::deadline_exceeded(text).into())));
@@ -129,7 +142,8 @@ mod tests {
             tokio::time::sleep(Duration::from_millis(1)).await;
             Some((Ok::<_, Status>(Bytes::from_static(b"a")), ()))
         });
-        let mut body = until_deadline(Body::from_stream(parts), Duration::from_millis(50)).into_data_stream();
+        let mut body =
+            until_deadline(Body::from_stream(parts), Duration::from_millis(50)).into_data_stream();
         let mut count = 0;
         let error = loop {
             match body.next().await.unwrap() {
@@ -137,14 +151,21 @@ mod tests {
                 Err(e) => break e,
             }
         };
-        assert!(count > 0 && error.to_string().contains("within 50ms"), "{count}: {error}");
+        assert!(
+            count > 0 && error.to_string().contains("within 50ms"),
+            "{count}: {error}"
+        );
     }
 
     #[tokio::test]
     async fn silent_body_ends_with_an_error() {
         let parts = futures::stream::pending::<Result<Bytes, Status>>();
-        let mut body = until_silent(Body::from_stream(parts), Duration::from_millis(5)).into_data_stream();
+        let mut body =
+            until_silent(Body::from_stream(parts), Duration::from_millis(5)).into_data_stream();
         let error = body.next().await.unwrap().unwrap_err();
-        assert!(error.to_string().contains("nothing came for 5ms"), "{error}");
+        assert!(
+            error.to_string().contains("nothing came for 5ms"),
+            "{error}"
+        );
     }
 }

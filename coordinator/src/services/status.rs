@@ -64,13 +64,15 @@ pub(super) fn of_blob(e: &BlobError) -> Status {
 /// The status of an upload that fails.
 pub(super) fn of_upload(e: &UploadError) -> Status {
     match e {
-        UploadError::ChunkMissing | UploadError::ChunkDamaged => Status::failed_precondition(e.to_string()),
+        UploadError::ChunkMissing | UploadError::ChunkDamaged => {
+            Status::failed_precondition(e.to_string())
+        }
         UploadError::Mismatch(_) | UploadError::Scene(_) | UploadError::Receivers(_) => {
             Status::invalid_argument(e.to_string())
         }
-        UploadError::TooLong { .. } | UploadError::LongChunk { .. } | UploadError::Repeated { .. } => {
-            Status::invalid_argument(e.to_string())
-        }
+        UploadError::TooLong { .. }
+        | UploadError::LongChunk { .. }
+        | UploadError::Repeated { .. } => Status::invalid_argument(e.to_string()),
         UploadError::Having(e) => of_having(e),
         UploadError::Blob(e) => of_blob(e),
         UploadError::Store(e) => of_store(e),
@@ -160,7 +162,9 @@ pub(super) fn of_submit(e: &SubmitError) -> Status {
 /// The status of a job that cannot be changed or fetched.
 pub(super) fn of_job(e: &JobError) -> Status {
     match e {
-        JobError::Outdated(_) | JobError::NoResult { .. } => Status::failed_precondition(e.to_string()),
+        JobError::Outdated(_) | JobError::NoResult { .. } => {
+            Status::failed_precondition(e.to_string())
+        }
         JobError::Store(e) => of_store(e),
     }
 }
@@ -168,7 +172,9 @@ pub(super) fn of_job(e: &JobError) -> Status {
 /// The status of a result of what is done of a job.
 pub(super) fn of_partial(e: &PartialError) -> Status {
     match e {
-        PartialError::Nothing(_) | PartialError::Outdated(_) => Status::failed_precondition(e.to_string()),
+        PartialError::Nothing(_) | PartialError::Outdated(_) => {
+            Status::failed_precondition(e.to_string())
+        }
         PartialError::Changed(_) => Status::unavailable(e.to_string()),
         PartialError::Gone => Status::cancelled(e.to_string()),
         PartialError::Store(e) => of_store(e),
@@ -184,7 +190,9 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         ResultError::Spool(e) => of_spool(e),
         // The service checks a large output again.
         ResultError::Large => internal(&e.to_string()),
-        ResultError::NoJob(_) | ResultError::NoLease(_) => Status::failed_precondition(e.to_string()),
+        ResultError::NoJob(_) | ResultError::NoLease(_) => {
+            Status::failed_precondition(e.to_string())
+        }
         ResultError::Length
         | ResultError::TooLong { .. }
         | ResultError::NoTile
@@ -243,6 +251,9 @@ mod tests {
         let status = full("there is no space left");
         assert_eq!(status.code(), Code::ResourceExhausted);
         assert!(status.message().ends_with("try again in 10 s"), "{status}");
-        assert_eq!(status.get_details_retry_info().unwrap().retry_delay, Some(AGAIN));
+        assert_eq!(
+            status.get_details_retry_info().unwrap().retry_delay,
+            Some(AGAIN)
+        );
     }
 }

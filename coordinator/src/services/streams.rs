@@ -41,7 +41,10 @@ pub(super) type ChunkStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status
 /// The length of a blob.
 fn length(c: &Coordinator, d: &Digest) -> Result<u64, Status> {
     let none = "nothing with this digest is stored here; it may have been tidied away";
-    c.blobs.len(d).map_err(|e| status::of_blob(&e))?.ok_or_else(|| Status::not_found(none))
+    c.blobs
+        .len(d)
+        .map_err(|e| status::of_blob(&e))?
+        .ok_or_else(|| Status::not_found(none))
 }
 
 /// Opens a blob. The whole is checked against its digest first, so that no damaged byte is ever sent.
@@ -66,7 +69,10 @@ pub(super) async fn stream_blob(c: &Arc<Coordinator>, d: Digest) -> Result<Chunk
 ///
 /// # Errors
 /// As [`stream_blob`].
-pub(super) async fn stream_or_address(c: &Arc<Coordinator>, d: Digest) -> Result<ChunkStream, Status> {
+pub(super) async fn stream_or_address(
+    c: &Arc<Coordinator>,
+    d: Digest,
+) -> Result<ChunkStream, Status> {
     let found = blocking(c, move |c| {
         let bytes = length(c, &d)?;
         match direct::reading(c, &d, bytes) {
@@ -77,7 +83,11 @@ pub(super) async fn stream_or_address(c: &Arc<Coordinator>, d: Digest) -> Result
     match found.await? {
         Ok((total, address)) => {
             let address = Some(wire::address(address));
-            let chunk = v1::Chunk { total, address, ..v1::Chunk::default() };
+            let chunk = v1::Chunk {
+                total,
+                address,
+                ..v1::Chunk::default()
+            };
             Ok(Box::pin(futures::stream::iter([Ok(chunk)])))
         }
         Err(blob) => stream(c, blob).await,
@@ -86,43 +96,71 @@ pub(super) async fn stream_or_address(c: &Arc<Coordinator>, d: Digest) -> Result
 
 async fn stream(c: &Arc<Coordinator>, blob: BlobReader) -> Result<ChunkStream, Status> {
     let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-    let permit = Arc::clone(&c.downloads).acquire_owned().await.map_err(closed)?;
+    let permit = Arc::clone(&c.downloads)
+        .acquire_owned()
+        .await
+        .map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
         // A client that has gone away or does not read wants no more.
-        read_chunks(blob.bytes, blob.length, |chunk| send_to(&send, chunk, LONGEST_UNREAD));
+        read_chunks(blob.bytes, blob.length, |chunk| {
+            send_to(&send, chunk, LONGEST_UNREAD)
+        });
     });
-    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
+    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(
+        receive,
+    )))
 }
 
 /// Bytes in memory as a stream of chunks.
 ///
 /// # Errors
 /// UNAVAILABLE when the coordinator is stopping.
-pub(super) async fn stream_bytes(c: &Arc<Coordinator>, bytes: Arc<[u8]>) -> Result<ChunkStream, Status> {
+pub(super) async fn stream_bytes(
+    c: &Arc<Coordinator>,
+    bytes: Arc<[u8]>,
+) -> Result<ChunkStream, Status> {
     let closed = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
-    let permit = Arc::clone(&c.downloads).acquire_owned().await.map_err(closed)?;
+    let permit = Arc::clone(&c.downloads)
+        .acquire_owned()
+        .await
+        .map_err(closed)?;
     let (send, receive) = tokio::sync::mpsc::channel(AHEAD);
     tokio::task::spawn_blocking(move || {
         let _permit = permit;
         // A client that has gone away or does not read wants no more.
-        read_chunks(&*bytes, bytes.len() as u64, |chunk| send_to(&send, chunk, LONGEST_UNREAD));
+        read_chunks(&*bytes, bytes.len() as u64, |chunk| {
+            send_to(&send, chunk, LONGEST_UNREAD)
+        });
     });
-    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(receive)))
+    Ok(Box::pin(tokio_stream::wrappers::ReceiverStream::new(
+        receive,
+    )))
 }
 
 /// Reads `length` bytes and passes them to `send` as chunks, until `send` returns false.
-fn read_chunks(mut bytes: impl Read, length: u64, mut send: impl FnMut(Result<v1::Chunk, Status>) -> bool) {
+fn read_chunks(
+    mut bytes: impl Read,
+    length: u64,
+    mut send: impl FnMut(Result<v1::Chunk, Status>) -> bool,
+) {
     let mut offset = 0;
     loop {
-        let mut data = Vec::with_capacity((length - offset).min(chunks::CHUNK_BYTES as u64) as usize);
-        let read = (&mut bytes).take(chunks::CHUNK_BYTES as u64).read_to_end(&mut data);
+        let mut data =
+            Vec::with_capacity((length - offset).min(chunks::CHUNK_BYTES as u64) as usize);
+        let read = (&mut bytes)
+            .take(chunks::CHUNK_BYTES as u64)
+            .read_to_end(&mut data);
         let end = offset + data.len() as u64;
         let chunk = match read {
-            Ok(0) if length > 0 => Err(Status::data_loss("a stored file became shorter while it was sent")),
+            Ok(0) if length > 0 => Err(Status::data_loss(
+                "a stored file became shorter while it was sent",
+            )),
             Ok(_) => Ok(chunks::chunk(data, offset, length)),
-            Err(e) => Err(Status::data_loss(format!("a stored file cannot be read any more: {e}"))),
+            Err(e) => Err(Status::data_loss(format!(
+                "a stored file cannot be read any more: {e}"
+            ))),
         };
         let failed = chunk.is_err();
         if !send(chunk) || failed || end >= length {
@@ -149,7 +187,10 @@ mod tests {
     fn a_blob_is_cut_as_bytes_are() {
         for n in [0, 1, chunks::CHUNK_BYTES, 2 * chunks::CHUNK_BYTES + 5] {
             let bytes: Vec<u8> = (0..n).map(|i| (i * 7) as u8).collect();
-            let read: Vec<v1::Chunk> = chunks_of(&bytes, n as u64).into_iter().map(Result::unwrap).collect();
+            let read: Vec<v1::Chunk> = chunks_of(&bytes, n as u64)
+                .into_iter()
+                .map(Result::unwrap)
+                .collect();
             assert!(read == chunks::cut(&bytes).collect::<Vec<_>>(), "{n} bytes");
         }
     }
@@ -159,10 +200,14 @@ mod tests {
         let (send, mut receive) = tokio::sync::mpsc::channel(1);
         let sent = tokio::task::spawn_blocking(move || {
             let mut sent = 0;
-            read_chunks(&[7; 10 * chunks::CHUNK_BYTES][..], 10 * chunks::CHUNK_BYTES as u64, |chunk| {
-                sent += 1;
-                send_to(&send, chunk, Duration::from_millis(20))
-            });
+            read_chunks(
+                &[7; 10 * chunks::CHUNK_BYTES][..],
+                10 * chunks::CHUNK_BYTES as u64,
+                |chunk| {
+                    sent += 1;
+                    send_to(&send, chunk, Duration::from_millis(20))
+                },
+            );
             sent
         });
         // One waits in the channel, and the next one finds no room.

@@ -80,22 +80,38 @@ impl Tls {
 
     /// Returns an acceptor of encrypted connections for a protocol of TLS's list.
     pub(super) fn acceptor(&self, protocol: &[u8]) -> TlsAcceptor {
-        let mut config = self.config.read().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut config = self
+            .config
+            .read()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
         config.alpn_protocols = vec![protocol.to_vec()];
         TlsAcceptor::from(Arc::new(config))
     }
 }
 
 fn certificates(path: &Path, what: &'static str) -> Result<Vec<CertificateDer<'static>>, TlsError> {
-    let bad = |reason: String| TlsError::File { path: path.to_owned(), what, reason };
-    let all: Result<Vec<_>, _> =
-        CertificateDer::pem_file_iter(path).map_err(|e| bad(e.to_string()))?.collect();
+    let bad = |reason: String| TlsError::File {
+        path: path.to_owned(),
+        what,
+        reason,
+    };
+    let all: Result<Vec<_>, _> = CertificateDer::pem_file_iter(path)
+        .map_err(|e| bad(e.to_string()))?
+        .collect();
     let all = all.map_err(|e| bad(e.to_string()))?;
-    if all.is_empty() { Err(bad("it holds no certificate".to_owned())) } else { Ok(all) }
+    if all.is_empty() {
+        Err(bad("it holds no certificate".to_owned()))
+    } else {
+        Ok(all)
+    }
 }
 
 fn read(files: &TlsFiles) -> Result<ServerConfig, TlsError> {
-    let chain = certificates(&files.certificate, "the coordinator's certificate (--tls-cert)")?;
+    let chain = certificates(
+        &files.certificate,
+        "the coordinator's certificate (--tls-cert)",
+    )?;
     let key = PrivateKeyDer::from_pem_file(&files.key).map_err(|e| TlsError::File {
         path: files.key.clone(),
         what: "the key of the certificate (--tls-key)",
@@ -114,7 +130,11 @@ fn read(files: &TlsFiles) -> Result<ServerConfig, TlsError> {
         None => config.with_no_client_auth(),
         Some(path) => {
             let what = "the authority of the workers' certificates (--client-ca)";
-            let bad = |reason: String| TlsError::File { path: path.clone(), what, reason };
+            let bad = |reason: String| TlsError::File {
+                path: path.clone(),
+                what,
+                reason,
+            };
             let mut roots = RootCertStore::empty();
             for certificate in certificates(path, what)? {
                 roots.add(certificate).map_err(|e| bad(e.to_string()))?;
@@ -126,5 +146,7 @@ fn read(files: &TlsFiles) -> Result<ServerConfig, TlsError> {
             config.with_client_cert_verifier(verifier.map_err(|e| bad(e.to_string()))?)
         }
     };
-    config.with_single_cert(chain, key).map_err(|e| unfit(e.to_string()))
+    config
+        .with_single_cert(chain, key)
+        .map_err(|e| unfit(e.to_string()))
 }

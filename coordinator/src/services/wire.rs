@@ -30,19 +30,33 @@ pub(super) fn digest(bytes: &[u8]) -> Result<Digest, Status> {
 
 /// An address for a worker. Nothing shows it on the way.
 pub(super) fn address(address: Address) -> v1::Address {
-    let header = |(name, value): (&str, String)| v1::Header { name: name.to_owned(), value };
+    let header = |(name, value): (&str, String)| v1::Header {
+        name: name.to_owned(),
+        value,
+    };
     let seconds = address.lives.as_secs() as u32;
-    v1::Address { url: address.url, seconds, headers: address.headers.into_iter().map(header).collect() }
+    v1::Address {
+        url: address.url,
+        seconds,
+        headers: address.headers.into_iter().map(header).collect(),
+    }
 }
 
 /// The measured times of a worker's backends.
 pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
-    let time = |t: v1::ProfileTime| ProfileTime { profile: t.profile, seconds_per_cube: t.seconds_per_cube };
+    let time = |t: v1::ProfileTime| ProfileTime {
+        profile: t.profile,
+        seconds_per_cube: t.seconds_per_cube,
+    };
     times.into_iter().map(time).collect()
 }
 
 /// An order to a worker, about a job with this trace.
-pub(super) fn order(tags: &LeaseTags, order: Order, trace: Option<TraceId>) -> v1::CoordinatorMessage {
+pub(super) fn order(
+    tags: &LeaseTags,
+    order: Order,
+    trace: Option<TraceId>,
+) -> v1::CoordinatorMessage {
     use v1::coordinator_message::Message;
     let trace = bytes_of(trace);
     let message = match order {
@@ -51,13 +65,20 @@ pub(super) fn order(tags: &LeaseTags, order: Order, trace: Option<TraceId>) -> v
             spec: Some(grant.spec.to_proto()),
             profile: grant.profile,
             // A pack that is absent has an empty digest; the worker then reports the tile as failed.
-            packs: grant.packs.iter().map(|d| d.map_or_else(Vec::new, |d| d.to_vec())).collect(),
+            packs: grant
+                .packs
+                .iter()
+                .map(|d| d.map_or_else(Vec::new, |d| d.to_vec()))
+                .collect(),
             millis: grant.millis,
             trace,
         }),
         Order::Revoke(lease) => {
             // The receiver knows the lease by its numbers, whether it holds it or helps its holder.
-            let lease = v1::Lease { tag: 0, ..tags.to_wire(&lease, Use::Hold) };
+            let lease = v1::Lease {
+                tag: 0,
+                ..tags.to_wire(&lease, Use::Hold)
+            };
             Message::Revoke(v1::Revoke { lease: Some(lease) })
         }
         Order::Help(help) => Message::Help(v1::Help {
@@ -66,9 +87,14 @@ pub(super) fn order(tags: &LeaseTags, order: Order, trace: Option<TraceId>) -> v
             profile: help.profile,
             trace,
         }),
-        Order::Time { job, spec } => Message::Time(v1::Time { job: job.0, spec: Some(spec.to_proto()) }),
+        Order::Time { job, spec } => Message::Time(v1::Time {
+            job: job.0,
+            spec: Some(spec.to_proto()),
+        }),
     };
-    v1::CoordinatorMessage { message: Some(message) }
+    v1::CoordinatorMessage {
+        message: Some(message),
+    }
 }
 
 /// The id of a trace; empty where there is none.
@@ -78,25 +104,59 @@ fn bytes_of(trace: Option<TraceId>) -> Vec<u8> {
 
 /// A scene's record.
 pub(super) fn scene(record: &SceneRecord) -> v1::SceneInfo {
-    let SceneRecord { digest, triangles, objects, .. } = record;
-    v1::SceneInfo { digest: digest.to_vec(), triangles: *triangles, objects: *objects }
+    let SceneRecord {
+        digest,
+        triangles,
+        objects,
+        ..
+    } = record;
+    v1::SceneInfo {
+        digest: digest.to_vec(),
+        triangles: *triangles,
+        objects: *objects,
+    }
 }
 
 /// Workers that cannot work on a job.
 pub(super) fn unable(unable: Unable) -> v1::UnableWorkers {
-    let Unable { reason, workers, names } = unable;
-    v1::UnableWorkers { reason, workers, names }
+    let Unable {
+        reason,
+        workers,
+        names,
+    } = unable;
+    v1::UnableWorkers {
+        reason,
+        workers,
+        names,
+    }
 }
 
 /// Who works on a tile.
 pub(super) fn team(team: Team) -> v1::Team {
-    let Team { tile, leader, has_begun, helpers } = team;
-    v1::Team { tile: tile.0, leader, has_begun, helpers }
+    let Team {
+        tile,
+        leader,
+        has_begun,
+        helpers,
+    } = team;
+    v1::Team {
+        tile: tile.0,
+        leader,
+        has_begun,
+        helpers,
+    }
 }
 
 /// What a submission would cost.
 pub(super) fn estimate(estimate: Estimate) -> v1::EstimateResponse {
-    let Estimate { tiles, cells, existing, jobs_before, workers, cost } = estimate;
+    let Estimate {
+        tiles,
+        cells,
+        existing,
+        jobs_before,
+        workers,
+        cost,
+    } = estimate;
     let existing = existing.as_ref().map(job);
     let cost = cost.map(|cost| {
         let [least_millis, median_millis, most_millis] = cost.millis;
@@ -112,7 +172,14 @@ pub(super) fn estimate(estimate: Estimate) -> v1::EstimateResponse {
             most_bytes,
         }
     });
-    v1::EstimateResponse { tiles, cells, existing, jobs_before, workers, cost }
+    v1::EstimateResponse {
+        tiles,
+        cells,
+        existing,
+        jobs_before,
+        workers,
+        cost,
+    }
 }
 
 /// A job's summary.
@@ -123,7 +190,9 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         name: record.name.clone(),
         // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
         // large, and a list has many jobs.
-        spec: specs::part(&record.spec).ok().map(|(spec, _)| without_large_parts(spec)),
+        spec: specs::part(&record.spec)
+            .ok()
+            .map(|(spec, _)| without_large_parts(spec)),
         profile: record.profile.clone().unwrap_or_default(),
         tiles_total: summary.tiles_total,
         tiles_done: summary.tiles_done,
@@ -193,13 +262,35 @@ pub(super) fn member(member: Member) -> v1::WorkerInfo {
 
 /// A worker that is quarantined.
 pub(super) fn quarantined(record: QuarantineRecord) -> v1::QuarantinedWorker {
-    let QuarantineRecord { worker, at_ms, reason } = record;
-    v1::QuarantinedWorker { worker, since_ms: at_ms, reason }
+    let QuarantineRecord {
+        worker,
+        at_ms,
+        reason,
+    } = record;
+    v1::QuarantinedWorker {
+        worker,
+        since_ms: at_ms,
+        reason,
+    }
 }
 
 fn held(held: Held) -> v1::HeldTile {
-    let Held { job, tile, has_begun, since, cells, samples } = held;
-    v1::HeldTile { job: job.0, tile: tile.0, has_begun, since_ms: since, cells, samples }
+    let Held {
+        job,
+        tile,
+        has_begun,
+        since,
+        cells,
+        samples,
+    } = held;
+    v1::HeldTile {
+        job: job.0,
+        tile: tile.0,
+        has_begun,
+        since_ms: since,
+        cells,
+        samples,
+    }
 }
 
 /// The state of a job, from the wire.
@@ -215,7 +306,9 @@ pub(super) fn phase(state: v1::JobState) -> Result<JobPhase, Status> {
         v1::JobState::Failed => JobPhase::Failed,
         v1::JobState::Done => JobPhase::Done,
         v1::JobState::Unspecified => {
-            return Err(Status::invalid_argument("states of jobs were given that there are not"));
+            return Err(Status::invalid_argument(
+                "states of jobs were given that there are not",
+            ));
         }
     })
 }
@@ -233,23 +326,34 @@ pub(super) fn standing(state: v1::TileState) -> Result<Standing, Status> {
         v1::TileState::Done => Standing::Done,
         v1::TileState::SetAside => Standing::SetAside,
         v1::TileState::Unspecified => {
-            return Err(Status::invalid_argument("states of tiles were given that there are not"));
+            return Err(Status::invalid_argument(
+                "states of tiles were given that there are not",
+            ));
         }
     })
 }
 
 /// A tile of a job.
 pub(super) fn tile(view: TileView) -> v1::TileInfo {
-    let failure = |f: crate::store::TileFailure| v1::TileFailure { worker: f.worker, reason: f.reason };
+    let failure = |f: crate::store::TileFailure| v1::TileFailure {
+        worker: f.worker,
+        reason: f.reason,
+    };
     v1::TileInfo {
         tile: view.tile.0,
         state: view.standing as i32,
-        r#box: view.bounds.map_or_else(Vec::new, |b| b.iter().flat_map(|p| p.to_array()).collect()),
+        r#box: view
+            .bounds
+            .map_or_else(Vec::new, |b| b.iter().flat_map(|p| p.to_array()).collect()),
         cells: view.cells,
         cells_done: view.cells_done,
         samples: view.samples,
         millis: view.millis,
-        workers: view.workers.iter().map(|worker| worker_name(worker).to_owned()).collect(),
+        workers: view
+            .workers
+            .iter()
+            .map(|worker| worker_name(worker).to_owned())
+            .collect(),
         failures: view.failures.into_iter().map(failure).collect(),
         conflicts: view.conflicts,
         is_pack: view.is_pack,
@@ -285,7 +389,12 @@ pub(super) fn event(entry: &Entry) -> v1::Event {
 
 /// A specification without its viewpoints and its tree of boxes.
 fn without_large_parts(spec: v1::JobSpec) -> v1::JobSpec {
-    let is_tree = |division: &v1::job_spec::Division| matches!(division, v1::job_spec::Division::Tree(_));
+    let is_tree =
+        |division: &v1::job_spec::Division| matches!(division, v1::job_spec::Division::Tree(_));
     let division = spec.division.filter(|division| !is_tree(division));
-    v1::JobSpec { viewpoints: Vec::new(), division, ..spec }
+    v1::JobSpec {
+        viewpoints: Vec::new(),
+        division,
+        ..spec
+    }
 }

@@ -56,7 +56,9 @@ impl Outgoing {
             Self::Order(order, trace) => Ok(wire::order(tags, order, trace)),
             Self::Welcome(welcome) => {
                 let welcome = v1::coordinator_message::Message::Welcome(welcome);
-                Ok(v1::CoordinatorMessage { message: Some(welcome) })
+                Ok(v1::CoordinatorMessage {
+                    message: Some(welcome),
+                })
             }
             Self::Failure(status) => Err(status),
         }
@@ -69,32 +71,56 @@ impl v1::workers_server::Workers for WorkersService {
 
     async fn work(&self, r: Request<Streaming<v1::WorkerMessage>>) -> Answer<Self::WorkStream> {
         let caller = caller(&self.0, &r)?;
-        let certificate = r.extensions().get::<Peer>().and_then(|peer| peer.certificate.clone());
+        let certificate = r
+            .extensions()
+            .get::<Peer>()
+            .and_then(|peer| peer.certificate.clone());
         let first = first(r).await?;
         let (first, inbound) = (first.0.and_then(|m| m.message), first.1);
         let Some(FromWorker::Hello(hello)) = first else {
-            return Err(Status::invalid_argument("a worker's first message must be Hello"));
+            return Err(Status::invalid_argument(
+                "a worker's first message must be Hello",
+            ));
         };
         check_hello(&hello)?;
         let certificate = certificate.as_ref().map(|shown| shown.as_ref().as_ref());
-        let identity = self.0.identities.identify(&caller, certificate, &hello.identity);
+        let identity = self
+            .0
+            .identities
+            .identify(&caller, certificate, &hello.identity);
         let identity = identity.map_err(|e| status::of_store(&e))?;
         let (out, outbound) = mpsc::channel(WAITING);
         let (answer, joined) = oneshot::channel();
         // A task of its own from the start: a worker that has joined must leave, even when this call is
         // dropped.
-        tokio::spawn(session(Arc::clone(&self.0), (hello, identity), inbound, out, answer));
-        let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+        tokio::spawn(session(
+            Arc::clone(&self.0),
+            (hello, identity),
+            inbound,
+            out,
+            answer,
+        ));
+        let stopping =
+            |_| Status::unavailable("the coordinator is stopping; try again when it is back");
         joined.await.map_err(stopping)??;
         let outbound = tokio_stream::wrappers::ReceiverStream::new(outbound);
         let tags = self.0.lease_tags.clone();
-        Ok(Response::new(Box::pin(outbound.map(move |message| message.encode(&tags)))))
+        Ok(Response::new(Box::pin(
+            outbound.map(move |message| message.encode(&tags)),
+        )))
     }
 
     type FetchSceneStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
-    async fn fetch_scene(&self, r: Request<v1::FetchSceneRequest>) -> Answer<Self::FetchSceneStream> {
-        let v1::FetchSceneRequest { digest, direct, fell_back } = r.into_inner();
+    async fn fetch_scene(
+        &self,
+        r: Request<v1::FetchSceneRequest>,
+    ) -> Answer<Self::FetchSceneStream> {
+        let v1::FetchSceneRequest {
+            digest,
+            direct,
+            fell_back,
+        } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
         self.noticing(answer, &digest, Lacks::Scene).await
     }
@@ -102,7 +128,11 @@ impl v1::workers_server::Workers for WorkersService {
     type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
 
     async fn fetch_pack(&self, r: Request<v1::FetchPackRequest>) -> Answer<Self::FetchPackStream> {
-        let v1::FetchPackRequest { digest, direct, fell_back } = r.into_inner();
+        let v1::FetchPackRequest {
+            digest,
+            direct,
+            fell_back,
+        } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
         // Receivers come this way, too. A worker that needs a lost pack computes it again.
         self.noticing(answer, &digest, Lacks::Receivers).await
@@ -113,13 +143,22 @@ impl v1::workers_server::Workers for WorkersService {
     async fn crew(&self, r: Request<Streaming<v1::CrewMessage>>) -> Answer<Self::CrewStream> {
         let first = first(r).await?;
         let (first, inbound) = (first.0.and_then(|m| m.message), first.1);
-        let Some(v1::crew_message::Message::Enter(v1::CrewEnter { lease: Some(lease), leads, phases })) =
-            first
+        let Some(v1::crew_message::Message::Enter(v1::CrewEnter {
+            lease: Some(lease),
+            leads,
+            phases,
+        })) = first
         else {
-            return Err(Status::invalid_argument("a member's first message must be Enter, with a lease"));
+            return Err(Status::invalid_argument(
+                "a member's first message must be Enter, with a lease",
+            ));
         };
         let to = if leads { Use::Hold } else { Use::Help };
-        let lease = self.0.lease_tags.check(&lease, to).map_err(|e| status::of_forged(&e))?;
+        let lease = self
+            .0
+            .lease_tags
+            .check(&lease, to)
+            .map_err(|e| status::of_forged(&e))?;
         let (out, outbound) = mpsc::channel(crate::crews::WAITING);
         let c = Arc::clone(&self.0);
         if leads {
@@ -135,28 +174,38 @@ impl v1::workers_server::Workers for WorkersService {
                         crews::lead(c, room, told, phases, inbound, out).await;
                     }
                     Ok(None) => {
-                        let _ = answer.send(Err(Status::not_found("the lease is not valid any more")));
+                        let _ =
+                            answer.send(Err(Status::not_found("the lease is not valid any more")));
                     }
                     Err(s) => {
                         let _ = answer.send(Err(s));
                     }
                 }
             });
-            let stopping = |_| Status::unavailable("the coordinator is stopping; try again when it is back");
+            let stopping =
+                |_| Status::unavailable("the coordinator is stopping; try again when it is back");
             opened.await.map_err(stopping)??;
         } else {
             let room = c.crews.find(&lease);
-            let room = room.ok_or_else(|| Status::not_found("nobody leads a crew under this lease"))?;
+            let room =
+                room.ok_or_else(|| Status::not_found("nobody leads a crew under this lease"))?;
             tokio::spawn(crews::help(c, room, inbound, out));
         }
-        Ok(Response::new(Box::pin(tokio_stream::wrappers::ReceiverStream::new(outbound))))
+        Ok(Response::new(Box::pin(
+            tokio_stream::wrappers::ReceiverStream::new(outbound),
+        )))
     }
 
-    async fn put_result(&self, r: Request<Streaming<v1::ResultPart>>) -> Answer<v1::PutResultResponse> {
+    async fn put_result(
+        &self,
+        r: Request<Streaming<v1::ResultPart>>,
+    ) -> Answer<v1::PutResultResponse> {
         let mut parts = r.into_inner();
         let first = parts.next().await.transpose()?.and_then(|p| p.part);
         let Some(v1::result_part::Part::Header(header)) = first else {
-            return Err(Status::invalid_argument("a result's first part must be its header"));
+            return Err(Status::invalid_argument(
+                "a result's first part must be its header",
+            ));
         };
         if header.fell_back {
             self.0.metrics.fell_back("write");
@@ -165,12 +214,15 @@ impl v1::workers_server::Workers for WorkersService {
             return self.commit_staged(header, parts).await;
         }
         let announced = announced(&self.0, &header)?;
-        let begin =
-            move |c: &Arc<Coordinator>| results::begin(c, &announced).map_err(|e| status::of_result(&e));
+        let begin = move |c: &Arc<Coordinator>| {
+            results::begin(c, &announced).map_err(|e| status::of_result(&e))
+        };
         let spool = blocking(&self.0, begin).await?;
         let spool = filled(&self.0, spool, None, &mut parts, |part| match part.part {
             Some(v1::result_part::Part::Chunk(chunk)) => Ok(chunk),
-            _ => Err(Status::invalid_argument("after a result's header only chunks may come")),
+            _ => Err(Status::invalid_argument(
+                "after a result's header only chunks may come",
+            )),
         })
         .await?;
         if spool.digest().map_err(|e| status::of_spool(&e))? != announced.digest {
@@ -180,18 +232,30 @@ impl v1::workers_server::Workers for WorkersService {
         let large = large(&self.0, "", announced.bytes > MAX_LIGHT).await?;
         let spool = Mutex::new(spool);
         self.commit(large, announced, move |c, weight| {
-            let bytes = spool.lock().unwrap_or_else(PoisonError::into_inner).bytes(c)?;
+            let bytes = spool
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .bytes(c)?;
             results::put(c, &announced, &Origin::Sent(&bytes), weight)
         })
         .await
     }
 
-    async fn stage_result(&self, r: Request<v1::StageResultRequest>) -> Answer<v1::StageResultResponse> {
-        let v1::StageResultRequest { lease, sha256, bytes } = r.into_inner();
+    async fn stage_result(
+        &self,
+        r: Request<v1::StageResultRequest>,
+    ) -> Answer<v1::StageResultResponse> {
+        let v1::StageResultRequest {
+            lease,
+            sha256,
+            bytes,
+        } = r.into_inner();
         let staged = staged(&self.0, lease.as_ref(), &sha256, bytes)?;
         blocking(&self.0, move |c| {
             let address = results::address(c, &staged).map_err(|e| status::of_blob(&e))?;
-            Ok(Response::new(v1::StageResultResponse { address: address.map(wire::address) }))
+            Ok(Response::new(v1::StageResultResponse {
+                address: address.map(wire::address),
+            }))
         })
         .await
     }
@@ -204,7 +268,11 @@ impl WorkersService {
         if fell_back {
             self.0.metrics.fell_back("read");
         }
-        let stream = if direct { stream_or_address(&self.0, d).await } else { stream_blob(&self.0, d).await };
+        let stream = if direct {
+            stream_or_address(&self.0, d).await
+        } else {
+            stream_blob(&self.0, d).await
+        };
         stream.map(Response::new)
     }
 
@@ -216,7 +284,10 @@ impl WorkersService {
         lacks: fn(Digest) -> Lacks,
     ) -> Answer<ChunkStream> {
         if let Err(refused) = &answer
-            && matches!(refused.code(), tonic::Code::DataLoss | tonic::Code::NotFound)
+            && matches!(
+                refused.code(),
+                tonic::Code::DataLoss | tonic::Code::NotFound
+            )
         {
             let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
             blocking(&self.0, move |c| {
@@ -237,7 +308,9 @@ impl WorkersService {
     ) -> Answer<v1::PutResultResponse> {
         let staged = staged(&self.0, header.lease.as_ref(), &header.staged, header.bytes)?;
         if parts.next().await.transpose()?.is_some() {
-            return Err(Status::invalid_argument("an output that is staged has no chunks"));
+            return Err(Status::invalid_argument(
+                "an output that is staged has no chunks",
+            ));
         }
         let announced = announced(&self.0, &header)?;
         let large = large(&self.0, "", staged.bytes > MAX_LIGHT).await?;
@@ -258,7 +331,11 @@ impl WorkersService {
         let mut right = right;
         loop {
             let (put, held) = (Arc::clone(&put), right.take());
-            let weight = if held.is_some() { Weight::Any } else { Weight::Light };
+            let weight = if held.is_some() {
+                Weight::Any
+            } else {
+                Weight::Light
+            };
             let committed = blocking_one_of(&self.0, &self.0.checks, move |c| {
                 let _held = held;
                 match put(c, weight) {
@@ -285,7 +362,9 @@ async fn first<M>(r: Request<Streaming<M>>) -> Result<(Option<M>, Streaming<M>),
         None => inbound.next().await,
         Some(limit) => tokio::time::timeout(limit, inbound.next())
             .await
-            .map_err(|_| Status::deadline_exceeded(format!("no message within {limit:?}; call again")))?,
+            .map_err(|_| {
+                Status::deadline_exceeded(format!("no message within {limit:?}; call again"))
+            })?,
     };
     Ok((first.transpose()?, inbound))
 }
@@ -293,14 +372,25 @@ async fn first<M>(r: Request<Streaming<M>>) -> Result<(Option<M>, Streaming<M>),
 /// Returns the lease of a result, if it was given.
 fn result_lease(c: &Coordinator, lease: Option<&v1::Lease>) -> Result<Lease, Status> {
     let lease = lease.ok_or_else(|| Status::invalid_argument("a result must name its lease"))?;
-    c.lease_tags.check(lease, Use::Hold).map_err(|e| status::of_forged(&e))
+    c.lease_tags
+        .check(lease, Use::Hold)
+        .map_err(|e| status::of_forged(&e))
 }
 
-fn staged(c: &Coordinator, lease: Option<&v1::Lease>, sha256: &[u8], bytes: u64) -> Result<Staged, Status> {
+fn staged(
+    c: &Coordinator,
+    lease: Option<&v1::Lease>,
+    sha256: &[u8],
+    bytes: u64,
+) -> Result<Staged, Status> {
     let lease = result_lease(c, lease)?;
     let sha256 = sha256.try_into();
     let sha256 = sha256.map_err(|_| Status::invalid_argument("a result's SHA-256 has 32 bytes"))?;
-    Ok(Staged { lease, sha256, bytes })
+    Ok(Staged {
+        lease,
+        sha256,
+        bytes,
+    })
 }
 
 fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<Announced, Status> {
@@ -330,16 +420,23 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
         )));
     }
     if hello.version.len() > MAX_IDENTIFIER_BYTES || !printable(&hello.version) {
-        return Err(Status::invalid_argument("a worker's version is too long or has control characters"));
+        return Err(Status::invalid_argument(
+            "a worker's version is too long or has control characters",
+        ));
     }
     let fine = |p: &String| p.len() <= MAX_IDENTIFIER_BYTES && printable(p) && p.is_ascii();
-    if hello.profiles.is_empty() || hello.profiles.len() > MAX_PROFILES || !hello.profiles.iter().all(fine) {
+    if hello.profiles.is_empty()
+        || hello.profiles.len() > MAX_PROFILES
+        || !hello.profiles.iter().all(fine)
+    {
         return Err(Status::invalid_argument(format!(
             "a worker must name 1 to {MAX_PROFILES} numerics profiles in plain ASCII"
         )));
     }
     if hello.held.len() > MAX_HELD {
-        return Err(Status::invalid_argument("a worker names more leases than it can hold"));
+        return Err(Status::invalid_argument(
+            "a worker names more leases than it can hold",
+        ));
     }
     Ok(())
 }
@@ -368,7 +465,10 @@ async fn session(
 ) {
     let name = hello.name.clone();
     // A lease of another store is none of this coordinator's: the worker stops its tile.
-    let held = hello.held.iter().filter_map(|lease| c.lease_tags.check(lease, Use::Hold).ok());
+    let held = hello
+        .held
+        .iter()
+        .filter_map(|lease| c.lease_tags.check(lease, Use::Hold).ok());
     let intro = Introduction {
         signature: signature(&hello.name, identity),
         name: hello.name,
@@ -393,7 +493,11 @@ async fn session(
         }
     };
     // A worker that has joined must leave, also when the coordinator stops in between.
-    let leaving = Leaving { c: Arc::clone(&c), worker: joined.worker, name: name.clone() };
+    let leaving = Leaving {
+        c: Arc::clone(&c),
+        worker: joined.worker,
+        name: name.clone(),
+    };
     // As above.
     let _ = answer.send(Ok(()));
     listen(&c, &name, &joined, shown, inbound, &out).await;
@@ -425,8 +529,14 @@ async fn listen(
     let welcome = v1::Welcome {
         epoch: joined.epoch.0,
         lease_millis: c.leases.ttl.as_millis() as u32,
-        kept: joined.kept.iter().map(|lease| c.lease_tags.to_wire(lease, Use::Hold)).collect(),
-        direct: c.blobs.direct().map(|direct| v1::Direct { ca: direct.authorities().to_vec() }),
+        kept: joined
+            .kept
+            .iter()
+            .map(|lease| c.lease_tags.to_wire(lease, Use::Hold))
+            .collect(),
+        direct: c.blobs.direct().map(|direct| v1::Direct {
+            ca: direct.authorities().to_vec(),
+        }),
         identity,
     };
     if out.send(Outgoing::Welcome(welcome)).await.is_err() {
@@ -472,13 +582,21 @@ async fn listen(
 
 /// A worker's message; `None` when it says nothing.
 fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Status> {
-    let given = |lease, to| c.lease_tags.check(&lease, to).map_err(|e| status::of_forged(&e));
+    let given = |lease, to| {
+        c.lease_tags
+            .check(&lease, to)
+            .map_err(|e| status::of_forged(&e))
+    };
     Ok(Some(match message {
-        FromWorker::Hello(_) => return Err(Status::invalid_argument("a second Hello on one stream")),
+        FromWorker::Hello(_) => {
+            return Err(Status::invalid_argument("a second Hello on one stream"));
+        }
         FromWorker::Want(w) => Message::Want(w.tiles),
         FromWorker::Draining(_) => Message::Draining,
         FromWorker::Progress(p) => {
-            let Some(lease) = p.lease else { return Ok(None) };
+            let Some(lease) = p.lease else {
+                return Ok(None);
+            };
             Message::Progress(Progress {
                 lease: given(lease, Use::Hold)?,
                 cells: p.cells,
@@ -490,10 +608,16 @@ fn message(c: &Coordinator, message: FromWorker) -> Result<Option<Message>, Stat
                 return Err(Status::invalid_argument("a failure must name its lease"));
             };
             let lease = given(lease, Use::Hold)?;
-            Message::Failed(Failure { lease, reason: f.reason, infrastructure: f.infrastructure })
+            Message::Failed(Failure {
+                lease,
+                reason: f.reason,
+                infrastructure: f.infrastructure,
+            })
         }
         FromWorker::Helped(h) => {
-            let Some(lease) = h.lease else { return Ok(None) };
+            let Some(lease) = h.lease else {
+                return Ok(None);
+            };
             Message::Helped(given(lease, Use::Help)?)
         }
         FromWorker::Timed(t) => Message::Timed(JobId(t.job), wire::times(t.times)),

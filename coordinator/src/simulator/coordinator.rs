@@ -6,8 +6,8 @@ use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::invalidating::unbelieved;
 use crate::scheduler::{Command, Effect, Event, Failure, Machine, Now, Settings};
 use crate::store::{
-    CommitOutcome, JobPhase, JobState, MAX_HELPERS, QuarantineRecord, StoreError, TileCheck, TileResult,
-    TileState, TileStats,
+    CommitOutcome, JobPhase, JobState, MAX_HELPERS, QuarantineRecord, StoreError, TileCheck,
+    TileResult, TileState, TileStats,
 };
 
 impl World {
@@ -68,7 +68,11 @@ impl World {
             (Up::Drains, Some(w)) => self.tell(Event::Drains(w)),
             (Up::Progress(p), Some(_)) => self.tell(Event::Progressed(p)),
             (Up::Failed(lease, infrastructure), Some(w)) => {
-                let failure = Failure { lease, reason: "it failed".to_owned(), infrastructure };
+                let failure = Failure {
+                    lease,
+                    reason: "it failed".to_owned(),
+                    infrastructure,
+                };
                 self.tell(Event::Failed(w, failure))
             }
             (_, None) => Ok(()),
@@ -76,14 +80,20 @@ impl World {
     }
 
     fn welcomes(&mut self, s: usize, intro: crate::scheduler::Introduction) -> Result<(), String> {
-        let now = Now { ms: self.now, unix_ms: self.unix_ms };
-        let Some(machine) = &mut self.machine else { return Ok(()) };
+        let now = Now {
+            ms: self.now,
+            unix_ms: self.unix_ms,
+        };
+        let Some(machine) = &mut self.machine else {
+            return Ok(());
+        };
         let effects = machine.step(Event::Joined(intro), now);
         machine.check()?;
         for effect in effects {
             match effect {
                 Effect::Joined(Ok(joined)) => {
-                    self.claimed.extend(joined.kept.iter().map(|l| (l.job, l.tile)));
+                    self.claimed
+                        .extend(joined.kept.iter().map(|l| (l.job, l.tile)));
                     self.streams[s].number = Some(joined.worker);
                     self.send_down(s, Down::Welcome(joined.kept));
                 }
@@ -123,8 +133,14 @@ impl World {
         let offered = digest(&bytes);
         if admitted.checks {
             let wait = self.below(30);
-            let events = vec![Event::Checked { lease, digest: offered }];
-            self.after(wait, Happening::Durable(self.life, w, life, events, lease.id, Answer::Kept));
+            let events = vec![Event::Checked {
+                lease,
+                digest: offered,
+            }];
+            self.after(
+                wait,
+                Happening::Durable(self.life, w, life, events, lease.id, Answer::Kept),
+            );
             return Ok(());
         }
         if !self.keep(&bytes) {
@@ -141,7 +157,11 @@ impl World {
             at_ms: self.now,
             ..TileStats::default()
         };
-        let result = TileResult { digest: offered, bytes: bytes.len() as u64, stats: stats.clone() };
+        let result = TileResult {
+            digest: offered,
+            bytes: bytes.len() as u64,
+            stats: stats.clone(),
+        };
         let (digest, answer) = match self.store().commit_tile(lease.job, lease.tile, result) {
             Ok(CommitOutcome::Committed | CommitOutcome::AlreadySame) => (offered, Answer::Kept),
             Ok(CommitOutcome::Conflict { kept, .. }) => (kept, Answer::Differs),
@@ -159,17 +179,33 @@ impl World {
         };
         let mut events = Vec::new();
         if let Answer::Kept = answer {
-            let before = self.acknowledged.insert((lease.job, lease.tile), bytes.clone());
+            let before = self
+                .acknowledged
+                .insert((lease.job, lease.tile), bytes.clone());
             if before.is_some_and(|b| b != bytes) {
                 return Err(format!("{lease:?} was acknowledged with two outputs"));
             }
         } else if self.spot_check > 0.0 {
-            events.push(Event::Differed { lease, digest: offered });
+            events.push(Event::Differed {
+                lease,
+                digest: offered,
+            });
         }
         let wait = self.below(30);
-        let stats = if let Answer::Kept = answer { stats } else { TileStats::default() };
-        events.push(Event::Committed { lease, digest, stats });
-        self.after(wait, Happening::Durable(self.life, w, life, events, lease.id, answer));
+        let stats = if let Answer::Kept = answer {
+            stats
+        } else {
+            TileStats::default()
+        };
+        events.push(Event::Committed {
+            lease,
+            digest,
+            stats,
+        });
+        self.after(
+            wait,
+            Happening::Durable(self.life, w, life, events, lease.id, answer),
+        );
         Ok(())
     }
 
@@ -188,7 +224,9 @@ impl World {
         events.into_iter().try_for_each(|event| self.tell(event))?;
         match outcome {
             // The job has changed in the meantime; the machine has heard of that, or will.
-            Ok(()) | Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => Ok(()),
+            Ok(()) | Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
+                Ok(())
+            }
             Err(e) => match self.refused(&e)? {
                 Refusal::Later => self.tell(Event::Refused(command)),
                 Refusal::Ended => Ok(()),
@@ -200,7 +238,10 @@ impl World {
     fn commits(&self) -> bool {
         self.queue.values().any(|happening| match happening {
             Happening::Durable(life, _, _, events, ..) => {
-                *life == self.life && events.iter().any(|event| matches!(event, Event::Committed { .. }))
+                *life == self.life
+                    && events
+                        .iter()
+                        .any(|event| matches!(event, Event::Committed { .. }))
             }
             _ => false,
         })
@@ -215,60 +256,128 @@ impl World {
             }
             Command::Start(id) => {
                 let from = [JobPhase::Queued];
-                events.push(changed(self.store().set_job_state(*id, &from, JobState::Running, at)?));
+                events.push(changed(self.store().set_job_state(
+                    *id,
+                    &from,
+                    JobState::Running,
+                    at,
+                )?));
             }
-            Command::Fail { job, tile, worker, reason } => {
+            Command::Fail {
+                job,
+                tile,
+                worker,
+                reason,
+            } => {
                 let on = self.store().fail_tile(*job, *tile, worker, reason)?;
                 let (job, tile, reason) = (*job, *tile, reason.clone());
-                events.push(Event::FailureRecorded { job, tile, on, reason, dead: None });
+                events.push(Event::FailureRecorded {
+                    job,
+                    tile,
+                    on,
+                    reason,
+                    dead: None,
+                });
             }
-            Command::CountDeath { job, tile, worker, reason } => {
+            Command::CountDeath {
+                job,
+                tile,
+                worker,
+                reason,
+            } => {
                 let on = self.store().count_death(*job, *tile, worker, reason)?;
                 let (job, tile, reason, dead) = (*job, *tile, reason.clone(), Some(worker.clone()));
-                events.push(Event::FailureRecorded { job, tile, on, reason, dead });
+                events.push(Event::FailureRecorded {
+                    job,
+                    tile,
+                    on,
+                    reason,
+                    dead,
+                });
             }
-            Command::CancelDeath { job, tile, worker, reason } => {
+            Command::CancelDeath {
+                job,
+                tile,
+                worker,
+                reason,
+            } => {
                 self.store().forget_failure(*job, *tile, worker, reason)?;
             }
-            Command::SetAside { job, tiles, reason, .. } => {
+            Command::SetAside {
+                job, tiles, reason, ..
+            } => {
                 for tile in tiles {
                     let digest = [9; 32];
-                    match self.store().set_aside_tile(*job, *tile, digest, 1, std::slice::from_ref(reason)) {
+                    match self.store().set_aside_tile(
+                        *job,
+                        *tile,
+                        digest,
+                        1,
+                        std::slice::from_ref(reason),
+                    ) {
                         Ok(()) | Err(StoreError::TileNotOpen { .. }) => {
-                            events.push(Event::SetAside { job: *job, tile: *tile, digest });
+                            events.push(Event::SetAside {
+                                job: *job,
+                                tile: *tile,
+                                digest,
+                            });
                         }
                         Err(e) => return Err(e),
                     }
                 }
             }
-            Command::Confirm { job, tile, digest, worker } => {
-                let check = TileCheck { worker: worker.clone(), at_ms: self.now };
+            Command::Confirm {
+                job,
+                tile,
+                digest,
+                worker,
+            } => {
+                let check = TileCheck {
+                    worker: worker.clone(),
+                    at_ms: self.now,
+                };
                 self.store().confirm_tile(*job, *tile, *digest, check)?;
             }
-            Command::Quarantine { workers, condemned, reason } => {
+            Command::Quarantine {
+                workers,
+                condemned,
+                reason,
+            } => {
                 for (id, tiles) in unbelieved(self.store(), workers, *condemned)? {
                     let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
                     if let Err(e) = self.store().invalidate_tiles(id, &tiles) {
                         // The change may be on the disk although its write failed.
-                        self.acknowledged.retain(|(job, tile), _| *job != id || !tiles.contains(tile));
+                        self.acknowledged
+                            .retain(|(job, tile), _| *job != id || !tiles.contains(tile));
                         return Err(e);
                     }
                     let open = self.store().tiles(id)?;
                     let is_open = |tile: TileIndex| open[tile.at()].state == TileState::Open;
-                    self.acknowledged.retain(|(job, tile), _| *job != id || !is_open(*tile));
-                    if !self.store().job(id)?.is_none_or(|job| job.state.phase().ended()) {
+                    self.acknowledged
+                        .retain(|(job, tile), _| *job != id || !is_open(*tile));
+                    if !self
+                        .store()
+                        .job(id)?
+                        .is_none_or(|job| job.state.phase().ended())
+                    {
                         events.push(Event::TakenUp(Box::new(self.job(id))));
                     }
                 }
                 events.push(Event::Swept);
                 for worker in workers {
                     let (worker, reason) = (worker.clone(), reason.clone());
-                    self.store().quarantine(QuarantineRecord { worker, at_ms: self.now, reason })?;
+                    self.store().quarantine(QuarantineRecord {
+                        worker,
+                        at_ms: self.now,
+                        reason,
+                    })?;
                 }
             }
             Command::FailJob(id, reason) => {
                 let from = [JobPhase::Queued, JobPhase::Running];
-                let failed = JobState::Failed { reason: reason.clone() };
+                let failed = JobState::Failed {
+                    reason: reason.clone(),
+                };
                 events.push(changed(self.store().set_job_state(*id, &from, failed, at)?));
             }
         }

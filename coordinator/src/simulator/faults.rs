@@ -61,8 +61,13 @@ fn populate(world: &mut World, seed: u64) {
             broken,
         });
     }
-    let scene =
-        SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() };
+    let scene = SceneRecord {
+        digest: [7; 32],
+        bytes: 1,
+        triangles: 1,
+        objects: 1,
+        owners: Default::default(),
+    };
     world.store().record_scene(scene).unwrap();
     for job in 0..1 + world.below(3) {
         let tiles = 1 + world.below(10) as u32;
@@ -102,9 +107,18 @@ fn plan(world: &mut World, tiles: u32) -> Plan {
     let dense = world.below(3);
     for at in 0..tiles {
         let needs = (0..at).filter(|_| dense > 0 && world.one_in(4)).collect();
-        all.push(Tile { kind: TileKind::Leaf, cell, depth: 0, needs, cells: 1 });
+        all.push(Tile {
+            kind: TileKind::Leaf,
+            cell,
+            depth: 0,
+            needs,
+            cells: 1,
+        });
     }
-    Plan { tiles: all, outline: Vec::new() }
+    Plan {
+        tiles: all,
+        outline: Vec::new(),
+    }
 }
 
 impl World {
@@ -140,7 +154,12 @@ impl World {
                 self.fill(true);
                 self.after(long, Happening::DiskFree);
             }
-            6 => self.unix_ms = self.unix_ms.saturating_add(self.below(1 << 30)).saturating_sub(1 << 29),
+            6 => {
+                self.unix_ms = self
+                    .unix_ms
+                    .saturating_add(self.below(1 << 30))
+                    .saturating_sub(1 << 29)
+            }
             7 => self.stalled_until = self.now + long / 2,
             8 => {
                 if !self.workers[w].draining && self.workers[w].alive {
@@ -169,7 +188,12 @@ impl World {
         if let Some(stream) = self.workers[w].stream {
             self.send_up(stream, Up::Drains);
         }
-        let waiting: Vec<_> = self.workers[w].held.values().filter(|h| !h.runs).map(|h| h.lease.id).collect();
+        let waiting: Vec<_> = self.workers[w]
+            .held
+            .values()
+            .filter(|h| !h.runs)
+            .map(|h| h.lease.id)
+            .collect();
         waiting.into_iter().for_each(|id| self.cancel(w, id));
         if self.workers[w].held.is_empty() {
             self.retire(w);
@@ -233,12 +257,19 @@ impl World {
         if self.spot_check > 0.0 {
             self.after(60_000, Happening::Fault);
         }
-        self.workers.iter_mut().for_each(|worker| worker.broken &= self.spot_check == 0.0);
+        self.workers
+            .iter_mut()
+            .for_each(|worker| worker.broken &= self.spot_check == 0.0);
         for record in self.store().quarantined().map_err(|e| e.to_string())? {
-            self.store().release(&record.worker).map_err(|e| e.to_string())?;
+            self.store()
+                .release(&record.worker)
+                .map_err(|e| e.to_string())?;
             self.tell(Event::Released(record.worker))?;
         }
-        let paused = self.open_jobs().into_iter().filter(|(_, phase)| *phase == JobPhase::Paused);
+        let paused = self
+            .open_jobs()
+            .into_iter()
+            .filter(|(_, phase)| *phase == JobPhase::Paused);
         for (id, _) in paused.collect::<Vec<_>>() {
             self.turn(id, &[JobPhase::Paused], JobState::Queued)?;
         }

@@ -19,7 +19,9 @@ impl World {
 
     /// Opens the store, and forgets the changes that a repair has lost.
     pub(super) fn open_store(&mut self) -> Result<(), String> {
-        let Ground::Disk(disk) = &mut self.ground else { return Ok(()) };
+        let Ground::Disk(disk) = &mut self.ground else {
+            return Ok(());
+        };
         let loss = disk.open()?;
         if let Some(loss) = loss {
             self.forget_lost(&loss)?;
@@ -81,7 +83,9 @@ impl World {
     pub(super) fn keep(&self, bytes: &[u8]) -> bool {
         match &self.ground {
             Ground::Memory(_) => true,
-            Ground::Disk(disk) => disk.get().is_some_and(|(_, blobs)| blobs.put(bytes).is_ok()),
+            Ground::Disk(disk) => disk
+                .get()
+                .is_some_and(|(_, blobs)| blobs.put(bytes).is_ok()),
         }
     }
 
@@ -103,14 +107,23 @@ impl World {
         if loss.is_loss || loss.is_unmeasured {
             let mut kept = BTreeMap::new();
             for ((job, tile), bytes) in std::mem::take(&mut self.acknowledged) {
-                let state = self.store().tile(job, tile).map_err(|e| e.to_string())?.state;
+                let state = self
+                    .store()
+                    .tile(job, tile)
+                    .map_err(|e| e.to_string())?
+                    .state;
                 // A tile is open again, or has an earlier output again, because the change that opened it is
                 // lost, too. No other output may appear than that of a worker with sound or broken memory.
                 if let TileState::Done { digest: of, .. } = state {
                     if of == digest(&bytes) {
                         kept.insert((job, tile), bytes);
-                    } else if ![false, true].iter().any(|broken| of == digest(&output(job, tile, *broken))) {
-                        return Err(format!("tile {tile} of job {job} has a foreign output: {of:?}"));
+                    } else if ![false, true]
+                        .iter()
+                        .any(|broken| of == digest(&output(job, tile, *broken)))
+                    {
+                        return Err(format!(
+                            "tile {tile} of job {job} has a foreign output: {of:?}"
+                        ));
                     }
                 }
             }
@@ -127,16 +140,25 @@ impl World {
             }
         }
         for ((job, tile), bytes) in &self.acknowledged {
-            let kept = self.store().tile(*job, *tile).map_err(|e| e.to_string())?.state;
+            let kept = self
+                .store()
+                .tile(*job, *tile)
+                .map_err(|e| e.to_string())?
+                .state;
             let digest = digest(bytes);
             if !matches!(&kept, TileState::Done { digest: d, .. } if *d == digest) {
-                return Err(format!("the output of tile {tile} of job {job} is lost: {kept:?}"));
+                return Err(format!(
+                    "the output of tile {tile} of job {job} is lost: {kept:?}"
+                ));
             }
-            let Ground::Disk(disk) = &self.ground else { continue };
+            let Ground::Disk(disk) = &self.ground else {
+                continue;
+            };
             match disk.get().map(|(_, blobs)| blobs.read(&digest)) {
                 Some(Ok(read)) if read == *bytes => {}
                 // A misplaced write may have hit this file.
-                Some(Err(BlobError::Damaged { .. } | BlobError::Missing { .. })) if disk.misdirects() => {}
+                Some(Err(BlobError::Damaged { .. } | BlobError::Missing { .. }))
+                    if disk.misdirects() => {}
                 other => return Err(format!("the blob of tile {tile} of job {job}: {other:?}")),
             }
         }

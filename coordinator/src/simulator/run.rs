@@ -38,8 +38,14 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
         if world.now > super::world::FAULTS + PATIENCE {
             let open: Vec<_> = world.open_jobs();
             let state = world.machine.as_ref().map(|machine| machine.state_text());
-            let tiles: Vec<_> = open.iter().map(|(id, _)| world.store().tiles(*id)).collect();
-            return Err(format!("jobs do not end: {open:?}\n{}\n{tiles:?}", state.unwrap_or_default()));
+            let tiles: Vec<_> = open
+                .iter()
+                .map(|(id, _)| world.store().tiles(*id))
+                .collect();
+            return Err(format!(
+                "jobs do not end: {open:?}\n{}\n{tiles:?}",
+                state.unwrap_or_default()
+            ));
         }
         world.handle(happening)?;
         if !world.faults_on() && world.machine.is_some() && world.open_jobs().is_empty() {
@@ -99,7 +105,10 @@ impl World {
             }
             H::UpBroken(s) => {
                 self.streams[s].closed = true;
-                if let Some(number) = self.streams[s].number.filter(|_| self.streams[s].life == self.life) {
+                if let Some(number) = self.streams[s]
+                    .number
+                    .filter(|_| self.streams[s].life == self.life)
+                {
                     self.tell(Event::Left(number))?;
                     self.streams[s].number = None;
                 }

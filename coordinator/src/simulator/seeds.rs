@@ -18,7 +18,10 @@ fn all<T: Send>(first: u64, count: u64, run: impl Fn(u64) -> Result<T, String> +
     };
     std::thread::scope(|scope| {
         let running: Vec<_> = (0..threads).map(|t| scope.spawn(move || each(t))).collect();
-        running.into_iter().flat_map(|r| r.join().unwrap()).collect()
+        running
+            .into_iter()
+            .flat_map(|r| r.join().unwrap())
+            .collect()
     })
 }
 
@@ -29,11 +32,18 @@ fn schedules(first: u64, count: u64) {
 /// Runs schedules on disks that fail, with spot checks.
 fn schedules_on_disk(first: u64, count: u64) {
     let mut faults = DiskCounts::default();
-    all(first, count, run_on_disk).iter().for_each(|counts| faults.add(counts));
+    all(first, count, run_on_disk)
+        .iter()
+        .for_each(|counts| faults.add(counts));
     println!("{faults:?}");
     // Schedules without faults would test too little.
     if count >= 100 {
-        assert!(faults.power_failures > 0 && faults.lost > 0 && faults.full > 0 && faults.misdirected > 0);
+        assert!(
+            faults.power_failures > 0
+                && faults.lost > 0
+                && faults.full > 0
+                && faults.misdirected > 0
+        );
         assert!(faults.failed_reads > 0 && faults.failed_writes > 0 && faults.failed_syncs > 0);
     }
 }
@@ -47,7 +57,10 @@ fn thousand_schedules_on_failing_disks() {
 #[ignore = "takes as long as it is told to by SIGHTLINE_SCHEDULES; scripts/nightly.sh runs it"]
 fn many_schedules_on_failing_disks() {
     let number = |name: &str, default| std::env::var(name).map_or(default, |n| n.parse().unwrap());
-    schedules_on_disk(number("SIGHTLINE_FIRST", 1 << 32), number("SIGHTLINE_SCHEDULES", 100_000));
+    schedules_on_disk(
+        number("SIGHTLINE_FIRST", 1 << 32),
+        number("SIGHTLINE_SCHEDULES", 100_000),
+    );
 }
 
 #[test]
@@ -59,7 +72,10 @@ fn ten_thousand_schedules() {
 #[ignore = "takes as long as it is told to by SIGHTLINE_SCHEDULES"]
 fn many_schedules() {
     let number = |name: &str, default| std::env::var(name).map_or(default, |n| n.parse().unwrap());
-    schedules(number("SIGHTLINE_FIRST", 1 << 32), number("SIGHTLINE_SCHEDULES", 1_000_000));
+    schedules(
+        number("SIGHTLINE_FIRST", 1 << 32),
+        number("SIGHTLINE_SCHEDULES", 1_000_000),
+    );
 }
 
 /// What the machine or the rules got wrong before, each under the number of the schedule that showed it.

@@ -57,11 +57,20 @@ impl World {
                 self.want_all(w);
             }
             Down::Grant(lease) => {
-                let held = Held { lease, runs: false, ran: false, cancelled: false, samples: 0, tries: 0 };
+                let held = Held {
+                    lease,
+                    runs: false,
+                    ran: false,
+                    cancelled: false,
+                    samples: 0,
+                    tries: 0,
+                };
                 self.workers[w].held.insert(lease.id, held);
                 self.run_next(w);
             }
-            Down::Revoke(lease) if self.workers[w].held.contains_key(&lease.id) => self.cancel(w, lease.id),
+            Down::Revoke(lease) if self.workers[w].held.contains_key(&lease.id) => {
+                self.cancel(w, lease.id)
+            }
             // The coordinator took a tile for held that is not.
             Down::Revoke(_) => self.want_all(w),
             Down::Refused => self.worker_breaks(w),
@@ -84,7 +93,13 @@ impl World {
         if self.workers[w].held.values().any(|h| h.runs && !h.ran) {
             return;
         }
-        let Some(next) = self.workers[w].held.values_mut().find(|h| !h.runs && !h.cancelled) else { return };
+        let Some(next) = self.workers[w]
+            .held
+            .values_mut()
+            .find(|h| !h.runs && !h.cancelled)
+        else {
+            return;
+        };
         next.runs = true;
         let (id, lease) = (next.lease.id, next.lease);
         self.crew(50, Event::CrewOpened(lease));
@@ -94,18 +109,27 @@ impl World {
 
     /// A tile has been computed, or has failed.
     pub(super) fn ran(&mut self, w: usize, id: LeaseId) {
-        let poisoned = self.workers[w].held.get(&id).is_some_and(|h| self.poisoned(&h.lease));
+        let poisoned = self.workers[w]
+            .held
+            .get(&id)
+            .is_some_and(|h| self.poisoned(&h.lease));
         let faulty = self.faults_on() && self.one_in(15);
         if let Some(held) = self.workers[w].held.get(&id) {
             let lease = held.lease;
             self.crew(500, Event::CrewClosed(lease));
         }
-        if self.workers[w].held.get(&id).is_some_and(|h| !h.cancelled && self.is_lethal(&h.lease)) {
+        if self.workers[w]
+            .held
+            .get(&id)
+            .is_some_and(|h| !h.cancelled && self.is_lethal(&h.lease))
+        {
             let wait = 1000 + self.below(5000);
             self.kill(w, wait);
             return;
         }
-        let Some(held) = self.workers[w].held.get_mut(&id) else { return };
+        let Some(held) = self.workers[w].held.get_mut(&id) else {
+            return;
+        };
         held.ran = true;
         let lease = held.lease;
         if (poisoned || faulty) && !held.cancelled {
@@ -121,7 +145,9 @@ impl World {
 
     /// Sends an output on its way. It arrives, or is lost and sent again.
     pub(super) fn deliver(&mut self, w: usize, id: LeaseId) {
-        let Some(held) = self.workers[w].held.get_mut(&id).filter(|h| !h.cancelled) else { return };
+        let Some(held) = self.workers[w].held.get_mut(&id).filter(|h| !h.cancelled) else {
+            return;
+        };
         held.tries += 1;
         let (lease, wait) = (held.lease, (250u64 << held.tries.min(6)).min(10_000));
         let life = self.workers[w].life;
@@ -217,9 +243,15 @@ impl World {
         let mut reports = Vec::new();
         for held in self.workers[w].held.values_mut() {
             held.samples += u64::from(held.runs && !held.ran);
-            reports.push(Progress { lease: held.lease, cells: 0, samples: held.samples });
+            reports.push(Progress {
+                lease: held.lease,
+                cells: 0,
+                samples: held.samples,
+            });
         }
-        reports.into_iter().for_each(|p| self.say(w, Up::Progress(p)));
+        reports
+            .into_iter()
+            .for_each(|p| self.say(w, Up::Progress(p)));
     }
 
     fn say(&mut self, w: usize, up: Up) {

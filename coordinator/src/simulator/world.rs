@@ -119,7 +119,10 @@ impl World {
     /// The user and the priority of a job.
     pub(super) fn submitter(&mut self) -> (&'static str, i32) {
         let of = self.crews.bits();
-        (["one", "two"][(of % 2) as usize], [0, 0, 1][(of / 2 % 3) as usize])
+        (
+            ["one", "two"][(of % 2) as usize],
+            [0, 0, 1][(of / 2 % 3) as usize],
+        )
     }
 
     /// Once in a while a client gives a job another priority.
@@ -156,7 +159,14 @@ impl World {
 
     pub(super) fn open_stream(&mut self, worker: usize) -> usize {
         let (life, now) = (self.life, self.now);
-        let stream = StreamEnds { worker, life, number: None, closed: false, up_at: now, down_at: now };
+        let stream = StreamEnds {
+            worker,
+            life,
+            number: None,
+            closed: false,
+            up_at: now,
+            down_at: now,
+        };
         self.streams.push(stream);
         self.streams.len() - 1
     }
@@ -190,32 +200,51 @@ impl World {
     /// A job as the store has it.
     pub(super) fn job(&self, id: JobId) -> Job {
         let (spec, lattice) = spec();
-        let work = Work { spec: Arc::new(spec), lattice, plan: self.plans[&id].clone() };
-        Job::with(self.store().job(id).unwrap().unwrap(), work, self.store().tiles(id).unwrap())
+        let work = Work {
+            spec: Arc::new(spec),
+            lattice,
+            plan: self.plans[&id].clone(),
+        };
+        Job::with(
+            self.store().job(id).unwrap().unwrap(),
+            work,
+            self.store().tiles(id).unwrap(),
+        )
     }
 
     /// Tells the machine of an event, checks it, and carries out what it wants.
     pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
-        let now = Now { ms: self.now, unix_ms: self.unix_ms };
+        let now = Now {
+            ms: self.now,
+            unix_ms: self.unix_ms,
+        };
         let tick = matches!(event, Event::Tick);
-        let Some(machine) = &mut self.machine else { return Ok(()) };
+        let Some(machine) = &mut self.machine else {
+            return Ok(());
+        };
         let effects = machine.step(event, now);
         machine.check()?;
         if tick {
             machine.check_expiries(now)?;
         }
-        effects.into_iter().try_for_each(|effect| self.carry(effect))
+        effects
+            .into_iter()
+            .try_for_each(|effect| self.carry(effect))
     }
 
     pub(super) fn carry(&mut self, effect: Effect) -> Result<(), String> {
         match effect {
             Effect::Tell(worker, order) => {
-                let stream =
-                    self.streams.iter().rposition(|s| s.number == Some(worker) && s.life == self.life);
+                let stream = self
+                    .streams
+                    .iter()
+                    .rposition(|s| s.number == Some(worker) && s.life == self.life);
                 if let Order::Grant(grant) = &order {
                     self.may_lease(&grant.lease)?;
                 }
-                let Some(stream) = stream else { return Err("an order to nobody".to_owned()) };
+                let Some(stream) = stream else {
+                    return Err("an order to nobody".to_owned());
+                };
                 match order {
                     Order::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
                     Order::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
@@ -246,10 +275,19 @@ impl World {
         // A tile that its worker has claimed may change hands.
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
         // The check of a done tile does not affect the worker that made the tile.
-        let job = self.machine.as_ref().and_then(|machine| machine.job(lease.job));
+        let job = self
+            .machine
+            .as_ref()
+            .and_then(|machine| machine.job(lease.job));
         let is_open = job.is_some_and(|job| job.tiles[lease.tile.at()].output == Output::Open);
-        if is_open && self.ran_before.contains(&lease.job) && !claimed && self.now < self.started + GRACE {
-            return Err(format!("{lease:?} is given while an earlier epoch's worker may hold the tile"));
+        if is_open
+            && self.ran_before.contains(&lease.job)
+            && !claimed
+            && self.now < self.started + GRACE
+        {
+            return Err(format!(
+                "{lease:?} is given while an earlier epoch's worker may hold the tile"
+            ));
         }
         Ok(())
     }

@@ -6,8 +6,8 @@ use super::entries::Entry;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
-    Submitted, TileCheck, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp,
+    SceneRecord, Submitted, TileCheck, TileRecord, TileResult,
 };
 use crate::ids::{Digest, JobId, TileIndex};
 
@@ -31,7 +31,8 @@ pub trait Store: Send + Sync {
 
     /// The newest `most` jobs whose ids are below `before`, ascending by id, and whether there are older
     /// ones.
-    fn jobs_before(&self, before: JobId, most: usize) -> Result<(Vec<JobRecord>, bool), StoreError>;
+    fn jobs_before(&self, before: JobId, most: usize)
+    -> Result<(Vec<JobRecord>, bool), StoreError>;
 
     /// All jobs, ascending by id, which is the order they were submitted in.
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError>;
@@ -88,12 +89,23 @@ pub trait Store: Send + Sync {
 
     /// Records that a tile failed on a worker; returns the number of different workers on which it has failed
     /// (counted up to a limit). Nothing changes if the tile is no longer open or the job has ended.
-    fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError>;
+    fn fail_tile(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<u32, StoreError>;
 
     /// Records the death of a worker as [`Store::fail_tile`] records a failure. A recorded failure of the
     /// worker stays, so that [`Store::forget_failure`] of this death does not remove it.
-    fn count_death(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str)
-    -> Result<u32, StoreError>;
+    fn count_death(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<u32, StoreError>;
 
     /// Forgets the failure of an open tile on a worker, if its last reason is this one.
     fn forget_failure(
@@ -128,8 +140,13 @@ pub trait Store: Send + Sync {
 
     /// Ends a queued or running job with its result, all of whose tiles must be done or set aside.
     /// The same result again is accepted; another one is refused.
-    fn finish_job(&self, job: JobId, result: Digest, bytes: u64, at_ms: u64)
-    -> Result<JobRecord, StoreError>;
+    fn finish_job(
+        &self,
+        job: JobId,
+        result: Digest,
+        bytes: u64,
+        at_ms: u64,
+    ) -> Result<JobRecord, StoreError>;
 
     /// Retries failed tiles: tiles set aside are open again, failures of open tiles are forgotten, and a job
     /// that failed, was cancelled, or is done with tiles set aside is queued. Done tiles stay done. Returns

@@ -8,10 +8,12 @@ use super::entries::Entry;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::limits::{
-    MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES,
-    check_identifier, check_length, check_name,
+    MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES,
+    MAX_TILES, check_identifier, check_length, check_name,
 };
-use super::records::{JobRecord, QuarantineRecord, RetentionStamp, SceneRecord, TileRecord, TrustedSpan};
+use super::records::{
+    JobRecord, QuarantineRecord, RetentionStamp, SceneRecord, TileRecord, TrustedSpan,
+};
 use super::table::{decode, key};
 use crate::ids::JobId;
 
@@ -21,7 +23,13 @@ const MOST_JOBS: u64 = 1 << 24;
 /// Checks one entry.
 pub(super) fn entry(entry: &Entry) -> Result<(), StoreError> {
     let Entry { key: at, value } = entry;
-    let is_at = |own: Vec<u8>| if own == *at { Ok(()) } else { Err(foreign(at, "its key is another one")) };
+    let is_at = |own: Vec<u8>| {
+        if own == *at {
+            Ok(())
+        } else {
+            Err(foreign(at, "its key is another one"))
+        }
+    };
     match at.first() {
         Some(b's') => is_at(key::scene(&read::<SceneRecord>(entry)?.digest)),
         Some(b'j') => {
@@ -37,8 +45,14 @@ pub(super) fn entry(entry: &Entry) -> Result<(), StoreError> {
         }
         Some(b't') => {
             let tile = read::<TileRecord>(entry)?;
-            let job = at.get(1..9).and_then(|bytes| bytes.try_into().ok()).map(u64::from_be_bytes);
-            is_at(job.map(|job| key::tile(JobId(job), tile.tile)).unwrap_or_default())
+            let job = at
+                .get(1..9)
+                .and_then(|bytes| bytes.try_into().ok())
+                .map(u64::from_be_bytes);
+            is_at(
+                job.map(|job| key::tile(JobId(job), tile.tile))
+                    .unwrap_or_default(),
+            )
         }
         Some(b'q') => {
             let record = read::<QuarantineRecord>(entry)?;
@@ -52,7 +66,8 @@ pub(super) fn entry(entry: &Entry) -> Result<(), StoreError> {
         }
         Some(b'c') => {
             let stamp = decode::<RetentionStamp>(at, value)?;
-            let begun = |span: TrustedSpan| span.begun_ms.max(span.next.map_or(0, |next| next.begun_ms));
+            let begun =
+                |span: TrustedSpan| span.begun_ms.max(span.next.map_or(0, |next| next.begun_ms));
             if begun(stamp.jobs).max(begun(stamp.blobs)) > stamp.ran_ms {
                 return Err(foreign(at, "a trusted span begins after the run time"));
             }
@@ -68,11 +83,18 @@ fn read<T: DeserializeOwned>(entry: &Entry) -> Result<T, StoreError> {
 }
 
 fn number(job: JobId) -> Result<(), StoreError> {
-    check_length("the number of a job", usize::try_from(job.0).unwrap_or(usize::MAX), MOST_JOBS as usize)
+    check_length(
+        "the number of a job",
+        usize::try_from(job.0).unwrap_or(usize::MAX),
+        MOST_JOBS as usize,
+    )
 }
 
 fn foreign(at: &[u8], what: &str) -> StoreError {
-    StoreError::Foreign { key: at.escape_ascii().to_string(), what: what.to_owned() }
+    StoreError::Foreign {
+        key: at.escape_ascii().to_string(),
+        what: what.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -91,7 +113,9 @@ mod tests {
     fn records() -> Vec<Entry> {
         let text = include_str!("../../../tests/earlier/data/001/records.jsonl");
         let entries = text.lines().filter(|line| line.starts_with('['));
-        entries.map(|line| Entry::of_text(&serde_json::from_str(line).unwrap()).unwrap()).collect()
+        entries
+            .map(|line| Entry::of_text(&serde_json::from_str(line).unwrap()).unwrap())
+            .collect()
     }
 
     /// Changes one place of a document, the `at`-th of those that there are.
@@ -137,15 +161,30 @@ mod tests {
     #[test]
     fn stamp_with_span_after_its_run_time_is_rejected() {
         let key = key::RETENTION_STAMP.to_vec();
-        let mut stamp = RetentionStamp { ran_ms: 5, ..RetentionStamp::default() };
+        let mut stamp = RetentionStamp {
+            ran_ms: 5,
+            ..RetentionStamp::default()
+        };
         stamp.jobs.begun_ms = 5;
-        let of = |stamp: &RetentionStamp| Entry { value: encode(&key, stamp).unwrap(), key: key.clone() };
+        let of = |stamp: &RetentionStamp| Entry {
+            value: encode(&key, stamp).unwrap(),
+            key: key.clone(),
+        };
         entry(&of(&stamp)).unwrap();
         stamp.blobs.begun_ms = 6;
-        assert!(matches!(entry(&of(&stamp)), Err(StoreError::Foreign { .. })));
+        assert!(matches!(
+            entry(&of(&stamp)),
+            Err(StoreError::Foreign { .. })
+        ));
         stamp.blobs.begun_ms = 5;
-        stamp.blobs.next = Some(NextSpan { begun_ms: 6, doubt_ms: 0 });
-        assert!(matches!(entry(&of(&stamp)), Err(StoreError::Foreign { .. })));
+        stamp.blobs.next = Some(NextSpan {
+            begun_ms: 6,
+            doubt_ms: 0,
+        });
+        assert!(matches!(
+            entry(&of(&stamp)),
+            Err(StoreError::Foreign { .. })
+        ));
     }
 
     proptest! {

@@ -12,7 +12,14 @@ pub(super) fn pending<A: Send + 'static>(
     decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
 ) -> (Box<dyn Pending>, Receiver<Result<A, StoreError>>) {
     let (reply, answer) = sync_channel(1);
-    (Box::new(Command { decide: Some(decide), decided: Err(StoreError::Closed), reply }), answer)
+    (
+        Box::new(Command {
+            decide: Some(decide),
+            decided: Err(StoreError::Closed),
+            reply,
+        }),
+        answer,
+    )
 }
 
 /// A command in the queue of the writer thread.
@@ -31,7 +38,9 @@ struct Command<F, A> {
     reply: SyncSender<Result<A, StoreError>>,
 }
 
-impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pending for Command<F, A> {
+impl<A: Send, F: FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send> Pending
+    for Command<F, A>
+{
     fn decide(&mut self, view: View<'_>) -> Option<Event> {
         let decision = self.decide.take()?(view);
         let (decided, event) = match decision {

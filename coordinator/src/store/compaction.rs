@@ -20,7 +20,10 @@ const TIMES: u64 = 8;
 
 /// Whether a journal of this length is worth compacting.
 pub(super) fn is_worth(journal: u64, entries: &[Entry]) -> bool {
-    let live: u64 = entries.iter().map(|e| (e.key.len() + e.value.len()) as u64).sum();
+    let live: u64 = entries
+        .iter()
+        .map(|e| (e.key.len() + e.value.len()) as u64)
+        .sum();
     journal > SHORT && journal / TIMES > live
 }
 
@@ -40,7 +43,12 @@ pub(super) fn replace(
             frame.push((key, value));
         }
         let payload = serde_json::to_vec(&[Event::Imported { entries: frame }]);
-        journal.append(&payload.map_err(|e| StoreError::View { what: e.to_string() })?, numbers)?;
+        journal.append(
+            &payload.map_err(|e| StoreError::View {
+                what: e.to_string(),
+            })?,
+            numbers,
+        )?;
     }
     Ok(journal.install(disk, path, numbers)?)
 }
@@ -51,7 +59,13 @@ mod tests {
     use super::*;
 
     fn scene(n: u8) -> SceneRecord {
-        SceneRecord { digest: [n; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() }
+        SceneRecord {
+            digest: [n; 32],
+            bytes: 1,
+            triangles: 1,
+            objects: 1,
+            owners: Default::default(),
+        }
     }
 
     #[test]
@@ -72,8 +86,18 @@ mod tests {
         assert_eq!(store.begin_epoch().unwrap(), 201);
         store.record_scene(scene(99)).unwrap();
         drop(store);
-        assert_eq!(SledStore::open(directory.path()).unwrap().scenes().unwrap().len(), 51);
-        assert!(matches!(SledStore::compact(&directory.path().join("none")), Err(StoreError::Journal(_))));
+        assert_eq!(
+            SledStore::open(directory.path())
+                .unwrap()
+                .scenes()
+                .unwrap()
+                .len(),
+            51
+        );
+        assert!(matches!(
+            SledStore::compact(&directory.path().join("none")),
+            Err(StoreError::Journal(_))
+        ));
     }
 
     #[test]
@@ -86,7 +110,10 @@ mod tests {
         to.import(entries[..2].to_vec(), true).unwrap();
         to.import(entries[2..].to_vec(), false).unwrap();
         assert_eq!(to.entries().unwrap(), entries);
-        assert!(matches!(to.import(entries, true), Err(StoreError::NotEmpty)));
+        assert!(matches!(
+            to.import(entries, true),
+            Err(StoreError::NotEmpty)
+        ));
     }
 
     #[test]
@@ -97,6 +124,9 @@ mod tests {
         drop(store);
         std::fs::write(directory.path().join("journal.compact"), b"half").unwrap();
         SledStore::compact(directory.path()).unwrap();
-        assert_eq!(SledStore::open(directory.path()).unwrap().scenes().unwrap(), [scene(1)]);
+        assert_eq!(
+            SledStore::open(directory.path()).unwrap().scenes().unwrap(),
+            [scene(1)]
+        );
     }
 }

@@ -13,7 +13,12 @@ use crate::ids::{JobId, TileIndex};
 #[derive(Clone, Debug)]
 pub(super) enum Op {
     Scene(u8, u32),
-    Submit { key: u8, request: u8, scene: u8, tiles: u32 },
+    Submit {
+        key: u8,
+        request: u8,
+        scene: u8,
+        tiles: u32,
+    },
     Prioritize(JobId, i32),
     Plan(JobId, u32),
     Bind(JobId, u8),
@@ -50,8 +55,13 @@ fn state(n: u8) -> JobState {
         1 => JobState::Running,
         2 => JobState::Paused,
         3 => JobState::Cancelled,
-        4 => JobState::Failed { reason: "no".to_owned() },
-        _ => JobState::Done { result: digest(9), bytes: 9 },
+        4 => JobState::Failed {
+            reason: "no".to_owned(),
+        },
+        _ => JobState::Done {
+            result: digest(9),
+            bytes: 9,
+        },
     }
 }
 
@@ -66,17 +76,33 @@ const PHASES: [JobPhase; 6] = [
 
 /// The phases of a bit set.
 fn phases(bits: u8) -> Vec<JobPhase> {
-    (0..6).filter(|i| bits >> i & 1 == 1).map(|i| PHASES[i]).collect()
+    (0..6)
+        .filter(|i| bits >> i & 1 == 1)
+        .map(|i| PHASES[i])
+        .collect()
 }
 
 fn request(n: u8) -> String {
-    if n == 0 { String::new() } else { format!("request {n}") }
+    if n == 0 {
+        String::new()
+    } else {
+        format!("request {n}")
+    }
 }
 
 pub(super) fn result(n: u8) -> TileResult {
-    let stats =
-        TileStats { samples: n.into(), cells: 2, millis: 3, worker: "w".to_owned(), ..TileStats::default() };
-    TileResult { digest: digest(n), bytes: n.into(), stats }
+    let stats = TileStats {
+        samples: n.into(),
+        cells: 2,
+        millis: 3,
+        worker: "w".to_owned(),
+        ..TileStats::default()
+    };
+    TileResult {
+        digest: digest(n),
+        bytes: n.into(),
+        stats,
+    }
 }
 
 fn new_job(key: u8, request_number: u8, scene: u8, tiles: u32) -> NewJob {
@@ -99,9 +125,17 @@ fn stamp(n: u8) -> RetentionStamp {
     let span = |n: u64| TrustedSpan {
         begun_ms: n,
         doubt_ms: u64::MAX - n,
-        next: n.is_multiple_of(2).then_some(NextSpan { begun_ms: n, doubt_ms: 3 }),
+        next: n.is_multiple_of(2).then_some(NextSpan {
+            begun_ms: n,
+            doubt_ms: 3,
+        }),
     };
-    RetentionStamp { wall_ms: 1000 * n, ran_ms: n + 1, jobs: span(n), blobs: span(n + 1) }
+    RetentionStamp {
+        wall_ms: 1000 * n,
+        ran_ms: n + 1,
+        jobs: span(n),
+        blobs: span(n + 1),
+    }
 }
 
 fn told<T: Debug>(answer: Result<T, StoreError>) -> String {
@@ -112,7 +146,9 @@ fn told<T: Debug>(answer: Result<T, StoreError>) -> String {
 }
 
 fn refused(error: &str) -> String {
-    let end = error.find(|c: char| !c.is_alphanumeric()).unwrap_or(error.len());
+    let end = error
+        .find(|c: char| !c.is_alphanumeric())
+        .unwrap_or(error.len());
     format!("refused: {}", &error[..end])
 }
 
@@ -125,19 +161,28 @@ pub(super) fn perform(store: &dyn Store, op: &Op) -> String {
             objects: 1,
             owners: Default::default(),
         })),
-        Op::Submit { key, request, scene, tiles } => {
-            told(store.submit_job(new_job(key, request, scene, tiles)))
-        }
+        Op::Submit {
+            key,
+            request,
+            scene,
+            tiles,
+        } => told(store.submit_job(new_job(key, request, scene, tiles))),
         Op::Prioritize(job, priority) => told(store.prioritize_job(job, priority)),
         Op::Plan(job, tiles) => told(store.plan_job(job, tiles)),
         Op::Bind(job, n) => told(store.bind_profile(job, &format!("profile {n}"))),
         Op::Commit(job, tile, n) => told(store.commit_tile(job, tile, result(n))),
-        Op::Fail(job, tile, w, r) => told(store.fail_tile(job, tile, &format!("w{w}"), &format!("r{r}"))),
+        Op::Fail(job, tile, w, r) => {
+            told(store.fail_tile(job, tile, &format!("w{w}"), &format!("r{r}")))
+        }
         Op::Forget(job, tile, w, r) => {
             told(store.forget_failure(job, tile, &format!("w{w}"), &format!("r{r}")))
         }
-        Op::SetAside(job, tile, n) => told(store.set_aside_tile(job, tile, digest(n), 7, &["x".to_owned()])),
-        Op::SetState(job, from, to) => told(store.set_job_state(job, &phases(from), state(to), 2000)),
+        Op::SetAside(job, tile, n) => {
+            told(store.set_aside_tile(job, tile, digest(n), 7, &["x".to_owned()]))
+        }
+        Op::SetState(job, from, to) => {
+            told(store.set_job_state(job, &phases(from), state(to), 2000))
+        }
         Op::Finish(job, n) => told(store.finish_job(job, digest(n), 8, 3000)),
         Op::Reopen(job) => told(store.reopen_tiles(job)),
         Op::Epoch => told(store.begin_epoch()),
@@ -149,7 +194,10 @@ pub(super) fn perform(store: &dyn Store, op: &Op) -> String {
 /// The answers to all queries of a store.
 pub(super) fn everything(store: &dyn Store) -> String {
     let jobs = store.jobs().unwrap();
-    let tiles: Vec<_> = jobs.iter().map(|job| store.tiles(job.id).unwrap()).collect();
+    let tiles: Vec<_> = jobs
+        .iter()
+        .map(|job| store.tiles(job.id).unwrap())
+        .collect();
     for (job, tiles) in jobs.iter().zip(&tiles) {
         assert_eq!(store.job(job.id).unwrap().as_ref(), Some(job));
         for tile in tiles {
@@ -157,14 +205,22 @@ pub(super) fn everything(store: &dyn Store) -> String {
         }
     }
     for (before, most) in [(u64::MAX, 2), (3, 10), (2, 0)] {
-        let below: Vec<_> = jobs.iter().filter(|job| job.id.0 < before).cloned().collect();
+        let below: Vec<_> = jobs
+            .iter()
+            .filter(|job| job.id.0 < before)
+            .cloned()
+            .collect();
         let older = below.len().saturating_sub(most);
         let page = store.jobs_before(JobId(before), most).unwrap();
         assert_eq!(page, (below[older..].to_vec(), older > 0));
     }
     let id = |job: Option<JobRecord>| job.map(|job| job.id);
-    let keys: Vec<_> = (0..4).map(|n| id(store.job_by_key(&digest(n)).unwrap())).collect();
-    let requests: Vec<_> = (0..4).map(|n| id(store.job_by_request(&request(n)).unwrap())).collect();
+    let keys: Vec<_> = (0..4)
+        .map(|n| id(store.job_by_key(&digest(n)).unwrap()))
+        .collect();
+    let requests: Vec<_> = (0..4)
+        .map(|n| id(store.job_by_request(&request(n)).unwrap()))
+        .collect();
     format!(
         "{:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {} {:?}",
         store.scenes().unwrap(),
@@ -205,20 +261,33 @@ impl Model {
                     owners: Default::default(),
                 };
                 let known = self.scenes.entry(new.digest).or_insert_with(|| new.clone());
-                return if *known == new { say(()) } else { Err("SceneDiffers") };
+                return if *known == new {
+                    say(())
+                } else {
+                    Err("SceneDiffers")
+                };
             }
-            Op::Submit { key, request, scene, tiles } => {
+            Op::Submit {
+                key,
+                request,
+                scene,
+                tiles,
+            } => {
                 let new = new_job(key, request, scene, tiles);
                 if let Some(id) = self.requests.get(&new.request_id) {
                     let same = self.jobs[id].key == new.key;
                     return if same {
-                        say(Submitted { id: *id, existing: true })
+                        say(Submitted {
+                            id: *id,
+                            existing: true,
+                        })
                     } else {
                         Err("RequestIdReused")
                     };
                 }
-                let live =
-                    |job: &&JobRecord| !matches!(job.state, JobState::Failed { .. } | JobState::Cancelled);
+                let live = |job: &&JobRecord| {
+                    !matches!(job.state, JobState::Failed { .. } | JobState::Cancelled)
+                };
                 let existing = self.newest(&new.key).filter(live).map(|job| job.id);
                 if existing.is_none() && !self.scenes.contains_key(&new.scene) {
                     return Err("UnknownScene");
@@ -248,7 +317,10 @@ impl Model {
                     };
                     self.jobs.insert(id, job);
                 }
-                return say(Submitted { id, existing: existing.is_some() });
+                return say(Submitted {
+                    id,
+                    existing: existing.is_some(),
+                });
             }
             Op::Epoch => {
                 self.epoch += 1;
@@ -270,24 +342,40 @@ impl Model {
             Op::Reopen(job) | Op::Delete(job) => (job, None),
         };
         let job = self.jobs.get_mut(&job_id).ok_or("UnknownJob")?;
-        let ended =
-            matches!(job.state, JobState::Cancelled | JobState::Failed { .. } | JobState::Done { .. });
+        let ended = matches!(
+            job.state,
+            JobState::Cancelled | JobState::Failed { .. } | JobState::Done { .. }
+        );
         if let Some(tile) = tile {
             if tile.0 >= job.tiles {
                 return Err("UnknownTile");
             }
-            let found = self.tiles.entry((job_id, tile)).or_insert_with(|| TileRecord::open(tile));
+            let found = self
+                .tiles
+                .entry((job_id, tile))
+                .or_insert_with(|| TileRecord::open(tile));
             match (op, found.state.clone()) {
                 (&Op::Commit(_, _, n), TileState::Done { digest: kept, .. }) => {
                     if kept == digest(n) {
                         return say(CommitOutcome::AlreadySame);
                     }
                     found.conflicts += 1;
-                    return say(CommitOutcome::Conflict { kept, offered: digest(n) });
+                    return say(CommitOutcome::Conflict {
+                        kept,
+                        offered: digest(n),
+                    });
                 }
                 (&Op::Commit(_, _, n), _) if !ended => {
-                    let TileResult { digest, bytes, stats } = result(n);
-                    found.state = TileState::Done { digest, bytes, stats };
+                    let TileResult {
+                        digest,
+                        bytes,
+                        stats,
+                    } = result(n);
+                    found.state = TileState::Done {
+                        digest,
+                        bytes,
+                        stats,
+                    };
                     return say(CommitOutcome::Committed);
                 }
                 (&Op::Fail(_, _, w, r), TileState::Open) if !ended => {
@@ -302,17 +390,25 @@ impl Model {
                 }
                 (Op::Fail(..), _) => return say(found.failures.len()),
                 (&Op::Forget(_, _, w, r), TileState::Open) if !ended => {
-                    let meant = TileFailure { worker: format!("w{w}"), reason: format!("r{r}") };
+                    let meant = TileFailure {
+                        worker: format!("w{w}"),
+                        reason: format!("r{r}"),
+                    };
                     found.failures.retain(|failure| *failure != meant);
                     return say(());
                 }
                 (Op::Forget(..), _) => return say(()),
-                (&Op::SetAside(_, _, n), TileState::SetAside { digest: d, .. }) if d == digest(n) => {
+                (&Op::SetAside(_, _, n), TileState::SetAside { digest: d, .. })
+                    if d == digest(n) =>
+                {
                     return say(());
                 }
                 (&Op::SetAside(_, _, n), TileState::Open) if !ended => {
-                    found.state =
-                        TileState::SetAside { digest: digest(n), bytes: 7, reasons: vec!["x".to_owned()] };
+                    found.state = TileState::SetAside {
+                        digest: digest(n),
+                        bytes: 7,
+                        reasons: vec!["x".to_owned()],
+                    };
                     return say(());
                 }
                 (Op::SetAside(..), TileState::Done { .. } | TileState::SetAside { .. }) => {
@@ -321,8 +417,12 @@ impl Model {
                 _ => return Err("IllegalTransition"),
             }
         }
-        let mut mine: Vec<&mut TileRecord> =
-            self.tiles.iter_mut().filter(|((id, _), _)| *id == job_id).map(|(_, tile)| tile).collect();
+        let mut mine: Vec<&mut TileRecord> = self
+            .tiles
+            .iter_mut()
+            .filter(|((id, _), _)| *id == job_id)
+            .map(|(_, tile)| tile)
+            .collect();
         match *op {
             Op::Prioritize(..) if ended => return Err("IllegalTransition"),
             Op::Prioritize(_, priority) => job.priority = priority,
@@ -353,17 +453,28 @@ impl Model {
                 JobState::Done { result, .. } if result == digest(n) => {}
                 JobState::Done { .. } => return Err("ResultDiffers"),
                 JobState::Queued | JobState::Running => {
-                    if mine.iter().filter(|tile| tile.state != TileState::Open).count() < job.tiles as usize {
+                    if mine
+                        .iter()
+                        .filter(|tile| tile.state != TileState::Open)
+                        .count()
+                        < job.tiles as usize
+                    {
                         return Err("TilesOpen");
                     }
-                    job.state = JobState::Done { result: digest(n), bytes: 8 };
+                    job.state = JobState::Done {
+                        result: digest(n),
+                        bytes: 8,
+                    };
                     job.finished_at_ms = Some(3000);
                 }
                 _ => return Err("IllegalTransition"),
             },
             Op::Reopen(_) => {
                 mine.retain(|tile| !matches!(tile.state, TileState::Done { .. }));
-                let set_aside = mine.iter().filter(|tile| tile.state != TileState::Open).count();
+                let set_aside = mine
+                    .iter()
+                    .filter(|tile| tile.state != TileState::Open)
+                    .count();
                 if ended && (set_aside > 0 || !matches!(job.state, JobState::Done { .. })) {
                     job.state = JobState::Queued;
                     job.finished_at_ms = None;
@@ -388,15 +499,31 @@ impl Model {
 
     pub(super) fn everything(&self) -> String {
         let jobs: Vec<_> = self.jobs.values().collect();
-        let one = |id, tile| self.tiles.get(&(id, tile)).cloned().unwrap_or_else(|| TileRecord::open(tile));
+        let one = |id, tile| {
+            self.tiles
+                .get(&(id, tile))
+                .cloned()
+                .unwrap_or_else(|| TileRecord::open(tile))
+        };
         let tiles: Vec<Vec<_>> = jobs
             .iter()
-            .map(|job| (0..job.tiles).map(|tile| one(job.id, TileIndex(tile))).collect())
+            .map(|job| {
+                (0..job.tiles)
+                    .map(|tile| one(job.id, TileIndex(tile)))
+                    .collect()
+            })
             .collect();
-        let keys: Vec<_> = (0..4).map(|n| self.newest(&digest(n)).map(|job| job.id)).collect();
-        let requests: Vec<_> = (0..4).map(|n| self.requests.get(&request(n)).copied()).collect();
+        let keys: Vec<_> = (0..4)
+            .map(|n| self.newest(&digest(n)).map(|job| job.id))
+            .collect();
+        let requests: Vec<_> = (0..4)
+            .map(|n| self.requests.get(&request(n)).copied())
+            .collect();
         let scenes: Vec<_> = self.scenes.values().collect();
-        format!("{scenes:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {} {:?}", self.epoch, self.stamp)
+        format!(
+            "{scenes:?} {jobs:?} {tiles:?} {keys:?} {requests:?} {} {:?}",
+            self.epoch, self.stamp
+        )
     }
 }
 
@@ -527,24 +654,49 @@ fn commands_of_many_threads_are_each_carried_out_once() {
     let directory = tempfile::tempdir().unwrap();
     let store = SledStore::open(directory.path()).unwrap();
     perform(&store, &Op::Scene(0, 10));
-    perform(&store, &Op::Submit { key: 1, request: 1, scene: 0, tiles: 40 });
+    perform(
+        &store,
+        &Op::Submit {
+            key: 1,
+            request: 1,
+            scene: 0,
+            tiles: 40,
+        },
+    );
     let committed: usize = std::thread::scope(|scope| {
         let one = |n: u8| {
             let store = &store;
             scope.spawn(move || {
-                let mine =
-                    (0..40).map(|tile| store.commit_tile(JobId(1), TileIndex(tile), result(n)).unwrap());
-                mine.filter(|outcome| *outcome == CommitOutcome::Committed).count()
+                let mine = (0..40).map(|tile| {
+                    store
+                        .commit_tile(JobId(1), TileIndex(tile), result(n))
+                        .unwrap()
+                });
+                mine.filter(|outcome| *outcome == CommitOutcome::Committed)
+                    .count()
             })
         };
         let threads: Vec<_> = (0..4).map(one).collect();
-        threads.into_iter().map(|thread| thread.join().unwrap()).sum()
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap())
+            .sum()
     });
     assert_eq!(committed, 40);
     let tiles = store.tiles(JobId(1)).unwrap();
-    assert!(tiles.iter().all(|tile| tile.conflicts == 3 && matches!(tile.state, TileState::Done { .. })));
+    assert!(
+        tiles
+            .iter()
+            .all(|tile| tile.conflicts == 3 && matches!(tile.state, TileState::Done { .. }))
+    );
     drop(store);
-    assert_eq!(SledStore::open(directory.path()).unwrap().tiles(JobId(1)).unwrap(), tiles);
+    assert_eq!(
+        SledStore::open(directory.path())
+            .unwrap()
+            .tiles(JobId(1))
+            .unwrap(),
+        tiles
+    );
 }
 
 proptest! {
@@ -597,7 +749,13 @@ fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
     let first = std::fs::read(&journal).unwrap();
     std::fs::remove_file(&journal).unwrap();
     let missing = SledStore::open(directory.path());
-    assert!(matches!(missing, Err(StoreError::Journal(JournalError::Missing { .. }))), "{missing:?}");
+    assert!(
+        matches!(
+            missing,
+            Err(StoreError::Journal(JournalError::Missing { .. }))
+        ),
+        "{missing:?}"
+    );
     // Another journal that is longer, with its watermark: only its id shows that it is another one.
     let other = tempfile::tempdir().unwrap();
     let store = SledStore::open(other.path()).unwrap();
@@ -606,12 +764,21 @@ fn view_of_another_journal_is_rebuilt_and_missing_journal_is_refused() {
     for name in ["journal", "journal.mark"] {
         std::fs::copy(other.path().join(name), directory.path().join(name)).unwrap();
     }
-    assert_eq!(SledStore::open(directory.path()).unwrap().epoch().unwrap(), 5);
+    assert_eq!(
+        SledStore::open(directory.path()).unwrap().epoch().unwrap(),
+        5
+    );
     assert!(directory.path().join("sled.broken-1").exists());
     // A journal that was copied without its watermark.
     std::fs::write(&journal, &first).unwrap();
     let refused = SledStore::open(directory.path());
-    assert!(matches!(refused, Err(StoreError::Journal(JournalError::Damaged { .. }))), "{refused:?}");
+    assert!(
+        matches!(
+            refused,
+            Err(StoreError::Journal(JournalError::Damaged { .. }))
+        ),
+        "{refused:?}"
+    );
 }
 
 #[test]
@@ -631,7 +798,10 @@ fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
         .expect("the epoch was there");
         view.flush().unwrap();
         drop(view);
-        assert_eq!(everything(&SledStore::open(directory.path()).unwrap()), before);
+        assert_eq!(
+            everything(&SledStore::open(directory.path()).unwrap()),
+            before
+        );
         assert!(directory.path().join("sled.broken-1").exists());
     }
 }
@@ -650,11 +820,21 @@ fn a_scene_belongs_to_all_who_have_sent_it() {
     {
         let store = SledStore::open(directory.path()).unwrap();
         (0..MAX_OWNERS).for_each(|n| store.record_scene(of(n, 10)).unwrap());
-        assert!(matches!(store.record_scene(of(MAX_OWNERS, 10)), Err(StoreError::TooLong { .. })));
-        assert!(matches!(store.record_scene(of(0, 11)), Err(StoreError::SceneDiffers { .. })));
+        assert!(matches!(
+            store.record_scene(of(MAX_OWNERS, 10)),
+            Err(StoreError::TooLong { .. })
+        ));
+        assert!(matches!(
+            store.record_scene(of(0, 11)),
+            Err(StoreError::SceneDiffers { .. })
+        ));
         store.record_scene(of(0, 10)).unwrap();
     }
-    let known = SledStore::open(directory.path()).unwrap().scene(&digest(0)).unwrap().unwrap();
+    let known = SledStore::open(directory.path())
+        .unwrap()
+        .scene(&digest(0))
+        .unwrap()
+        .unwrap();
     assert_eq!(
         known.owners.into_iter().collect::<Vec<_>>(),
         (0..MAX_OWNERS).map(longest).collect::<Vec<_>>()
@@ -682,22 +862,46 @@ fn longest_fit(owner: &str, user_bytes: usize) {
         tiles: MAX_TILES,
         submitted_at_ms: u64::MAX,
     };
-    for (tiles, name) in [(MAX_TILES + 1, "x".to_owned()), (1, "x".repeat(MAX_NAME_BYTES + 1))] {
-        let refused = store.submit_job(NewJob { tiles, name, ..largest.clone() });
+    for (tiles, name) in [
+        (MAX_TILES + 1, "x".to_owned()),
+        (1, "x".repeat(MAX_NAME_BYTES + 1)),
+    ] {
+        let refused = store.submit_job(NewJob {
+            tiles,
+            name,
+            ..largest.clone()
+        });
         assert!(matches!(refused, Err(StoreError::TooLong { .. })));
     }
-    let spoiled = store.submit_job(NewJob { request_id: "a\nb".to_owned(), ..largest.clone() });
+    let spoiled = store.submit_job(NewJob {
+        request_id: "a\nb".to_owned(),
+        ..largest.clone()
+    });
     assert!(matches!(spoiled, Err(StoreError::BadCharacter { .. })));
     store.submit_job(largest).unwrap();
-    store.bind_profile(JobId(1), &"p".repeat(MAX_IDENTIFIER_BYTES)).unwrap();
+    store
+        .bind_profile(JobId(1), &"p".repeat(MAX_IDENTIFIER_BYTES))
+        .unwrap();
     let endless = "\"\u{1}é".repeat(1000);
     for worker in 0..10 {
         let worker = worker.to_string().repeat(MAX_WORKER_BYTES);
-        let count = store.fail_tile(JobId(1), TileIndex(0), &worker, &endless).unwrap();
+        let count = store
+            .fail_tile(JobId(1), TileIndex(0), &worker, &endless)
+            .unwrap();
         assert!(count as usize <= MAX_FAILURES);
     }
-    store.set_aside_tile(JobId(1), TileIndex(0), digest(255), u64::MAX, &vec![endless.clone(); 10]).unwrap();
+    store
+        .set_aside_tile(
+            JobId(1),
+            TileIndex(0),
+            digest(255),
+            u64::MAX,
+            &vec![endless.clone(); 10],
+        )
+        .unwrap();
     let failed = JobState::Failed { reason: endless };
-    let job = store.set_job_state(JobId(1), &[JobPhase::Queued], failed, u64::MAX).unwrap();
+    let job = store
+        .set_job_state(JobId(1), &[JobPhase::Queued], failed, u64::MAX)
+        .unwrap();
     assert!(matches!(job.state, JobState::Failed { reason } if reason.len() <= MAX_REASON_BYTES));
 }

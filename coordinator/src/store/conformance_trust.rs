@@ -6,7 +6,13 @@ use crate::ids::{JobId, TileIndex};
 const JOB: JobId = JobId(1);
 
 fn scene(n: u8) -> SceneRecord {
-    SceneRecord { digest: [n; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() }
+    SceneRecord {
+        digest: [n; 32],
+        bytes: 1,
+        triangles: 1,
+        objects: 1,
+        owners: Default::default(),
+    }
 }
 
 fn job(tiles: u32) -> NewJob {
@@ -27,12 +33,25 @@ fn job(tiles: u32) -> NewJob {
 fn result(n: u8) -> TileResult {
     let worker = "w".repeat(MAX_SIGNATURE_BYTES);
     let helpers = vec!["h".repeat(MAX_SIGNATURE_BYTES); MAX_HELPERS];
-    let stats = TileStats { worker, helpers, unnamed: u32::MAX, at_ms: u64::MAX, ..TileStats::default() };
-    TileResult { digest: [n; 32], bytes: u64::MAX, stats }
+    let stats = TileStats {
+        worker,
+        helpers,
+        unnamed: u32::MAX,
+        at_ms: u64::MAX,
+        ..TileStats::default()
+    };
+    TileResult {
+        digest: [n; 32],
+        bytes: u64::MAX,
+        stats,
+    }
 }
 
 fn check(at_ms: u64) -> TileCheck {
-    TileCheck { worker: "c".repeat(MAX_SIGNATURE_BYTES), at_ms }
+    TileCheck {
+        worker: "c".repeat(MAX_SIGNATURE_BYTES),
+        at_ms,
+    }
 }
 
 /// Runs the commands on an empty store.
@@ -43,21 +62,35 @@ pub(super) fn trust(store: &dyn Store) {
     // The longest record that there can be.
     for n in 0..MAX_FAILURES {
         let worker = format!("{n:0>64}");
-        store.fail_tile(JOB, TileIndex(0), &worker, &"é".repeat(MAX_REASON_BYTES)).unwrap();
+        store
+            .fail_tile(JOB, TileIndex(0), &worker, &"é".repeat(MAX_REASON_BYTES))
+            .unwrap();
     }
     store.commit_tile(JOB, TileIndex(0), result(7)).unwrap();
-    store.confirm_tile(JOB, TileIndex(0), [8; 32], check(1)).unwrap();
+    store
+        .confirm_tile(JOB, TileIndex(0), [8; 32], check(1))
+        .unwrap();
     assert_eq!(store.tile(JOB, TileIndex(0)).unwrap().check, None);
-    store.confirm_tile(JOB, TileIndex(0), [7; 32], check(u64::MAX)).unwrap();
+    store
+        .confirm_tile(JOB, TileIndex(0), [7; 32], check(u64::MAX))
+        .unwrap();
     let done = store.tile(JOB, TileIndex(0)).unwrap();
     assert_eq!(done.check, Some(check(u64::MAX)));
-    assert!(matches!(&done.state, TileState::Done { stats, .. } if stats.helpers.len() == MAX_HELPERS));
+    assert!(
+        matches!(&done.state, TileState::Done { stats, .. } if stats.helpers.len() == MAX_HELPERS)
+    );
     // Of a running job those that are named are opened.
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 0);
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(0)]).unwrap(), 1);
-    assert_eq!(store.tile(JOB, TileIndex(0)).unwrap(), TileRecord::open(TileIndex(0)));
+    assert_eq!(
+        store.tile(JOB, TileIndex(0)).unwrap(),
+        TileRecord::open(TileIndex(0))
+    );
     let far = store.invalidate_tiles(JOB, &[TileIndex(2)]);
-    assert!(matches!(far, Err(StoreError::UnknownTile { .. })), "{far:?}");
+    assert!(
+        matches!(far, Err(StoreError::UnknownTile { .. })),
+        "{far:?}"
+    );
     // Of a done job all are.
     for tile in 0..2 {
         store.commit_tile(JOB, TileIndex(tile), result(7)).unwrap();
@@ -66,25 +99,47 @@ pub(super) fn trust(store: &dyn Store) {
     assert_eq!(store.invalidate_tiles(JOB, &[]).unwrap(), 0);
     assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 2);
     let again = store.job(JOB).unwrap().unwrap();
-    assert_eq!((again.state, again.finished_at_ms), (JobState::Queued, None));
+    assert_eq!(
+        (again.state, again.finished_at_ms),
+        (JobState::Queued, None)
+    );
     // The job remembers when, for leases from before.
     assert_eq!(again.reopened_epoch, Some(store.epoch().unwrap()));
     // The first reason stays.
     for reason in ["first", "second"] {
-        let record = QuarantineRecord { worker: "w".to_owned(), at_ms: 3, reason: reason.to_owned() };
+        let record = QuarantineRecord {
+            worker: "w".to_owned(),
+            at_ms: 3,
+            reason: reason.to_owned(),
+        };
         store.quarantine(record).unwrap();
     }
     let quarantined = store.quarantined().unwrap();
-    assert_eq!(quarantined.iter().map(|q| q.reason.as_str()).collect::<Vec<_>>(), ["first"]);
+    assert_eq!(
+        quarantined
+            .iter()
+            .map(|q| q.reason.as_str())
+            .collect::<Vec<_>>(),
+        ["first"]
+    );
     assert!(store.release("w").unwrap() && !store.release("w").unwrap());
     assert!(store.quarantined().unwrap().is_empty());
     // A scene goes when nobody names it.
-    assert!(matches!(store.delete_scene([1; 32]), Err(StoreError::SceneInUse { job: JOB, .. })));
+    assert!(matches!(
+        store.delete_scene([1; 32]),
+        Err(StoreError::SceneInUse { job: JOB, .. })
+    ));
     assert_eq!(store.delete_scene([2; 32]).unwrap(), scene(2));
-    assert!(matches!(store.delete_scene([2; 32]), Err(StoreError::UnknownScene { .. })));
+    assert!(matches!(
+        store.delete_scene([2; 32]),
+        Err(StoreError::UnknownScene { .. })
+    ));
     // Everything moves.
     let entries = store.entries().unwrap();
-    assert!(matches!(store.import(entries.clone(), true), Err(StoreError::NotEmpty)));
+    assert!(matches!(
+        store.import(entries.clone(), true),
+        Err(StoreError::NotEmpty)
+    ));
     let other = MemoryStore::new();
     let (first, rest) = entries.split_at(2);
     other.import(first.to_vec(), true).unwrap();
@@ -93,7 +148,10 @@ pub(super) fn trust(store: &dyn Store) {
     let mut damaged = entries[0].clone();
     damaged.value[8] ^= 1;
     let refused = other.import(vec![damaged], false);
-    assert!(matches!(refused, Err(StoreError::View { .. })), "{refused:?}");
+    assert!(
+        matches!(refused, Err(StoreError::View { .. })),
+        "{refused:?}"
+    );
     assert_eq!(other.entries().unwrap(), entries);
     store.may_change().unwrap();
 }
@@ -107,5 +165,11 @@ fn results_that_are_not_believed_in_memory_and_on_disk() {
         trust(&store);
         store.entries().unwrap()
     };
-    assert_eq!(SledStore::open(directory.path()).unwrap().entries().unwrap(), entries);
+    assert_eq!(
+        SledStore::open(directory.path())
+            .unwrap()
+            .entries()
+            .unwrap(),
+        entries
+    );
 }

@@ -8,8 +8,8 @@ use super::entries::{self, Entry};
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
-    Submitted, TileCheck, TileRecord, TileResult,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp,
+    SceneRecord, Submitted, TileCheck, TileRecord, TileResult,
 };
 use super::rules::{self, Decision};
 use super::table::View;
@@ -19,7 +19,10 @@ use crate::ids::{Digest, JobId, TileIndex};
 /// A place that keeps a table.
 pub(super) trait Engine: Send + Sync {
     /// Answers a query from the durable state.
-    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError>;
+    fn query<A>(
+        &self,
+        ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
+    ) -> Result<A, StoreError>;
 
     /// Why every write would fail, as far as is known without one.
     fn writable(&self) -> Result<(), StoreError> {
@@ -49,7 +52,11 @@ impl<E: Engine> Store for E {
     fn jobs(&self) -> Result<Vec<JobRecord>, StoreError> {
         self.query(|view| view.jobs())
     }
-    fn jobs_before(&self, before: JobId, most: usize) -> Result<(Vec<JobRecord>, bool), StoreError> {
+    fn jobs_before(
+        &self,
+        before: JobId,
+        most: usize,
+    ) -> Result<(Vec<JobRecord>, bool), StoreError> {
         self.query(|view| view.jobs_before(before, most))
     }
     fn job_by_key(&self, key: &Digest) -> Result<Option<JobRecord>, StoreError> {
@@ -77,7 +84,12 @@ impl<E: Engine> Store for E {
     }
     fn may_change(&self) -> Result<(), StoreError> {
         self.writable()?;
-        self.command(|_| Ok(Decision { event: None, answer: () }))
+        self.command(|_| {
+            Ok(Decision {
+                event: None,
+                answer: (),
+            })
+        })
     }
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError> {
         self.command(|view| rules::record_scene(view, scene))
@@ -103,7 +115,13 @@ impl<E: Engine> Store for E {
     ) -> Result<CommitOutcome, StoreError> {
         self.command(move |view| rules::commit_tile(view, job, tile, result))
     }
-    fn fail_tile(&self, job: JobId, tile: TileIndex, worker: &str, reason: &str) -> Result<u32, StoreError> {
+    fn fail_tile(
+        &self,
+        job: JobId,
+        tile: TileIndex,
+        worker: &str,
+        reason: &str,
+    ) -> Result<u32, StoreError> {
         let (worker, reason) = (worker.to_owned(), reason.to_owned());
         self.command(move |view| rules::fail_tile(view, job, tile, worker, &reason))
     }

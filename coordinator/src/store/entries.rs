@@ -12,7 +12,10 @@ const MAX_KEY_BYTES: usize = 256;
 /// Everything, ascending by key.
 pub(super) fn all(view: View<'_>) -> Result<Vec<Entry>, StoreError> {
     let all = view.0.scan(&[])?;
-    Ok(all.into_iter().map(|(key, value)| Entry { key, value }).collect())
+    Ok(all
+        .into_iter()
+        .map(|(key, value)| Entry { key, value })
+        .collect())
 }
 
 /// A key and its value.
@@ -41,7 +44,9 @@ impl Entry {
     }
 
     pub(super) fn read((key, value): &(String, String)) -> Result<(Bytes, Bytes), StoreError> {
-        let bad = |what: &str| StoreError::View { what: format!("the entry {key:.40}: {what}") };
+        let bad = |what: &str| StoreError::View {
+            what: format!("the entry {key:.40}: {what}"),
+        };
         if key.len() % 2 != 0 || key.len() > 2 * MAX_KEY_BYTES || !key.is_ascii() {
             return Err(bad("its key is not of hexadecimal digits"));
         }
@@ -51,7 +56,9 @@ impl Entry {
         if value.len() > 2 * MAX_VALUE_BYTES {
             return Err(bad("its value is too long"));
         }
-        let value = STANDARD_NO_PAD.decode(value).map_err(|e| bad(&e.to_string()))?;
+        let value = STANDARD_NO_PAD
+            .decode(value)
+            .map_err(|e| bad(&e.to_string()))?;
         check(&key_bytes, &value)?;
         Ok((key_bytes, value))
     }
@@ -65,7 +72,10 @@ mod tests {
     #[test]
     fn an_entry_comes_back_and_damage_is_found() {
         let key = key::EPOCH.to_vec();
-        let entry = Entry { value: encode(&key, &7u64).unwrap(), key };
+        let entry = Entry {
+            value: encode(&key, &7u64).unwrap(),
+            key,
+        };
         let text = entry.written();
         assert_eq!(Entry::of_text(&text).unwrap(), entry);
         for bad in [

@@ -63,7 +63,9 @@ pub enum StoreError {
         wanted: &'static str,
     },
     /// A tile that is no longer open cannot be set aside.
-    #[error("tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays")]
+    #[error(
+        "tile {tile} of job {job} is no longer open, so it cannot be set aside; what it has stays"
+    )]
     TileNotOpen {
         /// The job.
         job: JobId,
@@ -138,7 +140,9 @@ pub enum StoreError {
     #[error(transparent)]
     Journal(#[from] JournalError),
     /// An entry of another store is not what its key says.
-    #[error("the entry under {key} is no record of a store ({what}); take an export that nobody has changed")]
+    #[error(
+        "the entry under {key} is no record of a store ({what}); take an export that nobody has changed"
+    )]
     Foreign {
         /// Its key.
         key: String,
@@ -154,7 +158,9 @@ pub enum StoreError {
         what: String,
     },
     /// The writer thread cannot be started.
-    #[error("the system cannot start another thread ({what}); raise its limit of threads, or free memory")]
+    #[error(
+        "the system cannot start another thread ({what}); raise its limit of threads, or free memory"
+    )]
     Thread {
         /// The system's error.
         what: String,
@@ -207,7 +213,9 @@ pub enum StoreError {
         what: String,
     },
     /// The address of a database cannot be used.
-    #[error("{what}; give --store as postgres://USER@HOST/DATABASE, with the password in PGPASSWORD")]
+    #[error(
+        "{what}; give --store as postgres://USER@HOST/DATABASE, with the password in PGPASSWORD"
+    )]
     Address {
         /// The fault, without the address, which may hold a password.
         what: String,
@@ -382,10 +390,19 @@ fn folder_of(path: &Path) -> &Path {
 /// Returns the command that repairs the store whose journal is at `path`.
 fn repair_command(path: &Path) -> String {
     let folder = folder_of(path);
-    match folder.parent().filter(|_| folder.file_name().is_some_and(|name| name == "state")) {
-        Some(data) => format!("sightline store verify --repair --data-dir {}", quoted(data)),
+    match folder
+        .parent()
+        .filter(|_| folder.file_name().is_some_and(|name| name == "state"))
+    {
+        Some(data) => format!(
+            "sightline store verify --repair --data-dir {}",
+            quoted(data)
+        ),
         None => {
-            format!("sightline store verify --repair --store {}", format_args!("sled:{}", quoted(folder)))
+            format!(
+                "sightline store verify --repair --store {}",
+                format_args!("sled:{}", quoted(folder))
+            )
         }
     }
 }
@@ -402,7 +419,11 @@ fn quoted(path: &Path) -> String {
 }
 
 fn after_semicolon(sentence: &str) -> String {
-    if sentence.is_empty() { String::new() } else { format!("; {sentence}") }
+    if sentence.is_empty() {
+        String::new()
+    } else {
+        format!("; {sentence}")
+    }
 }
 
 /// What a user can do with a job in a state.

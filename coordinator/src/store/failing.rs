@@ -49,7 +49,13 @@ impl FailingDisk {
     pub(crate) fn new(seed: u64) -> Self {
         let mut random = SplitMix64::named(&[seed, 7]);
         let misdirects = random.bits().is_multiple_of(3);
-        Self { random, disk: SimulatedDisk::new(seed), misdirects, is_flipped: false, open: None }
+        Self {
+            random,
+            disk: SimulatedDisk::new(seed),
+            misdirects,
+            is_flipped: false,
+            open: None,
+        }
     }
 
     fn below(&mut self, n: u64) -> u64 {
@@ -86,10 +92,17 @@ impl FailingDisk {
             Err(StoreError::Journal(JournalError::Damaged { .. })) if self.misdirects => {
                 let path = Path::new(STATE).join("journal");
                 let found = salvage::read(&self.disk, &path, None).map_err(|e| e.to_string())?;
-                let damage = found.damage.clone().ok_or("a refused journal has no damage")?;
+                let damage = found
+                    .damage
+                    .clone()
+                    .ok_or("a refused journal has no damage")?;
                 salvage::replace(&self.disk, &path, found).map_err(|e| e.to_string())?;
                 let jobs = damage.lost_jobs.map(|(first, last)| first.0..=last.0);
-                let loss = Loss { is_unmeasured: damage.is_unmeasured, is_loss: damage.is_loss, jobs };
+                let loss = Loss {
+                    is_unmeasured: damage.is_unmeasured,
+                    is_loss: damage.is_loss,
+                    jobs,
+                };
                 (open().map_err(|e| e.to_string())?, Some(loss))
             }
             Err(e) => return Err(format!("the store does not start: {e}")),
@@ -104,7 +117,11 @@ impl FailingDisk {
             read: if self.below(4) == 0 { 60 } else { 0 },
             write: if self.below(4) == 0 { 60 } else { 0 },
             sync: if self.below(4) == 0 { 60 } else { 0 },
-            misdirected: if self.misdirects && !self.is_flipped { 40 } else { 0 },
+            misdirected: if self.misdirects && !self.is_flipped {
+                40
+            } else {
+                0
+            },
         };
         self.disk.set_faults(faults);
         if self.below(3) == 0 {

@@ -8,7 +8,10 @@ use super::journal::{HEADER_BYTES, Journal, Numbers, Place, replay};
 use super::watermark;
 
 /// Numbers for the watermark.
-const NUMBERS: Numbers = Numbers { next_job: 7, epoch: 2 };
+const NUMBERS: Numbers = Numbers {
+    next_job: 7,
+    epoch: 2,
+};
 
 /// Opens bytes as a journal in a folder, replays it, appends a frame and opens it again. The first two bytes
 /// are the length of the watermark's file, which follows; the journal's file is the rest. Returns true if the
@@ -17,14 +20,18 @@ const NUMBERS: Numbers = Numbers { next_job: 7, epoch: 2 };
 /// # Panics
 /// Panics if an opened journal cannot be replayed, or if frames change. No bytes may cause that.
 pub fn journal(folder: &Path, bytes: &[u8]) -> bool {
-    let Some((length, rest)) = bytes.split_first_chunk::<2>() else { return false };
+    let Some((length, rest)) = bytes.split_first_chunk::<2>() else {
+        return false;
+    };
     let (marks, frames) = rest.split_at(rest.len().min(u16::from_le_bytes(*length).into()));
     let [path, mark_path] = paths(folder);
     #[expect(clippy::unwrap_used, reason = "the folder can be written")]
     for (path, bytes) in [(&path, frames), (&mark_path, marks)] {
         std::fs::write(path, bytes).unwrap();
     }
-    let Ok(mut journal) = Journal::open(&SystemDisk, &path, None) else { return false };
+    let Ok(mut journal) = Journal::open(&SystemDisk, &path, None) else {
+        return false;
+    };
     let before = payloads(&path, &journal);
     assert!(before.iter().map(Vec::len).sum::<usize>() <= bytes.len());
     let appended = journal.append(b"the next frame", NUMBERS);
@@ -47,7 +54,10 @@ fn paths(folder: &Path) -> [PathBuf; 2] {
 /// Returns the payloads of all frames.
 fn payloads(path: &Path, journal: &Journal) -> Vec<Vec<u8>> {
     let mut payloads = Vec::new();
-    let start = Place { offset: HEADER_BYTES, chain: journal.id() };
+    let start = Place {
+        offset: HEADER_BYTES,
+        chain: journal.id(),
+    };
     let visit = |payload: &[u8], _: Place| {
         payloads.push(payload.to_vec());
         Ok::<(), JournalError>(())
@@ -99,6 +109,9 @@ mod tests {
             let ran = std::panic::catch_unwind(|| journal(folder.path(), &bytes));
             opened += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
         }
-        assert!((rounds / 50..rounds - rounds / 50).contains(&opened), "{opened} of {rounds} were opened");
+        assert!(
+            (rounds / 50..rounds - rounds / 50).contains(&opened),
+            "{opened} of {rounds} were opened"
+        );
     }
 }

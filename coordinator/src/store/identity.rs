@@ -27,9 +27,11 @@ impl FromStr for StoreId {
 
     /// Parses the 32 hexadecimal digits that `Display` writes.
     fn from_str(text: &str) -> Result<Self, ()> {
-        let digits =
-            Some(text).filter(|text| text.len() == 32 && text.bytes().all(|b| b.is_ascii_hexdigit()));
-        let number = digits.and_then(|text| u128::from_str_radix(text, 16).ok()).ok_or(())?;
+        let digits = Some(text)
+            .filter(|text| text.len() == 32 && text.bytes().all(|b| b.is_ascii_hexdigit()));
+        let number = digits
+            .and_then(|text| u128::from_str_radix(text, 16).ok())
+            .ok_or(())?;
         Ok(Self(number.to_be_bytes()))
     }
 }
@@ -52,8 +54,13 @@ impl StoreIdentity {
         let (mut id, mut secret) = ([0; 16], [0; 32]);
         getrandom::fill(&mut id)
             .and_then(|()| getrandom::fill(&mut secret))
-            .map_err(|e| StoreError::Random { what: e.to_string() })?;
-        Ok(Self { id: StoreId(id), secret })
+            .map_err(|e| StoreError::Random {
+                what: e.to_string(),
+            })?;
+        Ok(Self {
+            id: StoreId(id),
+            secret,
+        })
     }
 
     /// Returns the name, which may be shown.
@@ -72,7 +79,9 @@ impl StoreIdentity {
 impl fmt::Debug for StoreIdentity {
     /// Writes the name without the secret.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("StoreIdentity").field("id", &self.id).finish_non_exhaustive()
+        f.debug_struct("StoreIdentity")
+            .field("id", &self.id)
+            .finish_non_exhaustive()
     }
 }
 
@@ -88,7 +97,8 @@ mod hex_id {
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<StoreId, D::Error> {
         let text = String::deserialize(from)?;
-        text.parse().map_err(|()| D::Error::custom("the store's name must have 32 hexadecimal digits"))
+        text.parse()
+            .map_err(|()| D::Error::custom("the store's name must have 32 hexadecimal digits"))
     }
 }
 
@@ -100,7 +110,10 @@ mod tests {
     fn identity_survives_serialization_and_hides_secret() {
         let identity = StoreIdentity::random().unwrap();
         let text = serde_json::to_string(&identity).unwrap();
-        assert_eq!(serde_json::from_str::<StoreIdentity>(&text).unwrap(), identity);
+        assert_eq!(
+            serde_json::from_str::<StoreIdentity>(&text).unwrap(),
+            identity
+        );
         assert_ne!(identity, StoreIdentity::random().unwrap());
         assert_ne!(identity.key("one"), identity.key("two"));
         let shown = format!("{identity:?}");

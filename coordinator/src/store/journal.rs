@@ -56,20 +56,46 @@ impl Journal {
     /// # Errors
     /// [`JournalError::Damaged`] when acknowledged frames are damaged or missing; the file then stays as it
     /// is.
-    pub(super) fn open(disk: &dyn Disk, path: &Path, view: Option<Watermark>) -> Result<Self, JournalError> {
+    pub(super) fn open(
+        disk: &dyn Disk,
+        path: &Path,
+        view: Option<Watermark>,
+    ) -> Result<Self, JournalError> {
         let mark_path = watermark::path_of(path);
         let marks = watermark::read(disk, &mark_path)?;
-        if disk.attributes(path).map_err(fault("look for", path))?.is_none() {
-            if marks.iter().chain(&view).any(|mark| mark.length > HEADER_BYTES) {
-                return Err(JournalError::Missing { path: path.to_owned() });
+        if disk
+            .attributes(path)
+            .map_err(fault("look for", path))?
+            .is_none()
+        {
+            if marks
+                .iter()
+                .chain(&view)
+                .any(|mark| mark.length > HEADER_BYTES)
+            {
+                return Err(JournalError::Missing {
+                    path: path.to_owned(),
+                });
             }
             create(disk, path)?;
             return Self::open(disk, path, None);
         }
         let opened = inspect(disk, path, &marks, view, |_, _| Ok::<_, JournalError>(()))?;
-        let Inspected { id, end, length, acknowledged, damage, .. } = opened;
+        let Inspected {
+            id,
+            end,
+            length,
+            acknowledged,
+            damage,
+            ..
+        } = opened;
         if let Some((offset, what)) = damage {
-            return Err(JournalError::Damaged { path: path.to_owned(), offset, what, lost: String::new() });
+            return Err(JournalError::Damaged {
+                path: path.to_owned(),
+                offset,
+                what,
+                lost: String::new(),
+            });
         }
         if end.offset > HEADER_BYTES && !marks.iter().any(|mark| mark.journal == id) {
             tracing::warn!(
@@ -78,19 +104,31 @@ impl Journal {
                  noticed; compare the list of jobs with a backup. The watermark is written anew"
             );
         }
-        let mut file = disk.open(path, Access::Update).map_err(fault("open", path))?;
+        let mut file = disk
+            .open(path, Access::Update)
+            .map_err(fault("open", path))?;
         if end.offset < length {
             tracing::warn!(
                 path = %path.display(), bytes = length - end.offset, offset = end.offset,
                 "the journal ends in an unfinished write, which was never acknowledged; cutting it off"
             );
-            file.set_length(end.offset).map_err(fault("truncate", path))?;
+            file.set_length(end.offset)
+                .map_err(fault("truncate", path))?;
         }
         let measured = acknowledged.map_or(HEADER_BYTES, |mark| mark.length);
         rewrite(&mut *file, measured, end.offset).map_err(fault("write", path))?;
         let marks = Some(WatermarkFile::open(disk, &mark_path)?);
-        let mut this = Self { path: path.to_owned(), file, id, end, marks, unusable: None };
-        this.file.seek(SeekFrom::Start(end.offset)).map_err(fault("seek in", path))?;
+        let mut this = Self {
+            path: path.to_owned(),
+            file,
+            id,
+            end,
+            marks,
+            unusable: None,
+        };
+        this.file
+            .seek(SeekFrom::Start(end.offset))
+            .map_err(fault("seek in", path))?;
         Ok(this)
     }
 
@@ -98,10 +136,22 @@ impl Journal {
     pub(super) fn begin(disk: &dyn Disk, path: &Path) -> Result<Self, JournalError> {
         disk::remove_if_present(disk, path).map_err(fault("remove", path))?;
         let id = random_id(path)?;
-        let mut file = disk.open(path, Access::Create).map_err(fault("create", path))?;
+        let mut file = disk
+            .open(path, Access::Create)
+            .map_err(fault("create", path))?;
         file.write_all(&header(id)).map_err(fault("write", path))?;
-        let end = Place { offset: HEADER_BYTES, chain: id };
-        Ok(Self { path: path.to_owned(), file, id, end, marks: None, unusable: None })
+        let end = Place {
+            offset: HEADER_BYTES,
+            chain: id,
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            id,
+            end,
+            marks: None,
+            unusable: None,
+        })
     }
 
     pub(super) fn id(&self) -> u64 {
@@ -114,14 +164,29 @@ impl Journal {
 
     /// Appends a frame and returns its end. The frame is on the disk then, and the watermark records it.
     /// After an error the journal is as before, or it is unusable and returns that error from then on.
-    pub(super) fn append(&mut self, payload: &[u8], numbers: Numbers) -> Result<Place, JournalError> {
+    pub(super) fn append(
+        &mut self,
+        payload: &[u8],
+        numbers: Numbers,
+    ) -> Result<Place, JournalError> {
         if let Some(source) = &self.unusable {
-            return Err(JournalError::Unusable { path: self.path.clone(), source: source.clone() });
+            return Err(JournalError::Unusable {
+                path: self.path.clone(),
+                source: source.clone(),
+            });
         }
-        let Some(length) = u32::try_from(payload.len()).ok().filter(|_| payload.len() <= MAX_FRAME_BYTES)
+        let Some(length) = u32::try_from(payload.len())
+            .ok()
+            .filter(|_| payload.len() <= MAX_FRAME_BYTES)
         else {
-            let source = Arc::new(io::Error::new(ErrorKind::InvalidInput, "the frame is too long"));
-            return Err(JournalError::Write { path: self.path.clone(), source });
+            let source = Arc::new(io::Error::new(
+                ErrorKind::InvalidInput,
+                "the frame is too long",
+            ));
+            return Err(JournalError::Write {
+                path: self.path.clone(),
+                source,
+            });
         };
         let chain = check(self.end, length, payload);
         let mut frame = Vec::with_capacity(payload.len() + FRAME_HEADER as usize);
@@ -136,7 +201,10 @@ impl Journal {
         if let Err(source) = self.file.sync() {
             return Err(self.give_up(source));
         }
-        let end = Place { offset: self.end.offset + frame.len() as u64, chain };
+        let end = Place {
+            offset: self.end.offset + frame.len() as u64,
+            chain,
+        };
         if let Err(JournalError::Io { source, .. }) = self.record(end, numbers) {
             // The slot may count although its write failed. The frame can go only if the slot records the end
             // before it again.
@@ -151,7 +219,9 @@ impl Journal {
 
     fn record(&mut self, end: Place, numbers: Numbers) -> Result<(), JournalError> {
         let mark = Watermark::new(self.id, end, numbers);
-        self.marks.as_mut().map_or(Ok(()), |marks| marks.record(&mark))
+        self.marks
+            .as_mut()
+            .map_or(Ok(()), |marks| marks.record(&mark))
     }
 
     /// Records the whole journal as acknowledged. To be called after the start, with the numbers of the
@@ -169,21 +239,30 @@ impl Journal {
     /// Removes a frame that could not be written whole.
     fn undo(&mut self, source: io::Error) -> JournalError {
         let at = self.end.offset;
-        let undone = self.file.set_length(at).and_then(|()| self.file.seek(SeekFrom::Start(at)));
+        let undone = self
+            .file
+            .set_length(at)
+            .and_then(|()| self.file.seek(SeekFrom::Start(at)));
         if let Err(undo) = undone.and_then(|_| self.file.sync()) {
             return self.give_up(undo);
         }
         let path = self.path.clone();
         match source.kind() {
             ErrorKind::StorageFull | ErrorKind::QuotaExceeded => JournalError::NoSpace { path },
-            _ => JournalError::Write { path, source: Arc::new(source) },
+            _ => JournalError::Write {
+                path,
+                source: Arc::new(source),
+            },
         }
     }
 
     fn give_up(&mut self, source: impl Into<Arc<io::Error>>) -> JournalError {
         let source = source.into();
         self.unusable = Some(source.clone());
-        JournalError::Unusable { path: self.path.clone(), source }
+        JournalError::Unusable {
+            path: self.path.clone(),
+            source,
+        }
     }
 
     /// Moves a journal that [`Journal::begin`] began into its place, over an older one, and records its
@@ -194,14 +273,21 @@ impl Journal {
         place: &Path,
         numbers: Numbers,
     ) -> Result<u64, JournalError> {
-        let Self { path, file, id, end, .. } = self;
+        let Self {
+            path,
+            file,
+            id,
+            end,
+            ..
+        } = self;
         file.sync().map_err(fault("sync", &path))?;
         drop(file);
         let mark = Watermark::new(id, end, numbers);
         let mut marks = WatermarkFile::open(disk, &watermark::path_of(place))?;
         marks.record(&mark)?;
         marks.sync()?;
-        disk.rename(&path, place).map_err(fault("move into place", place))?;
+        disk.rename(&path, place)
+            .map_err(fault("move into place", place))?;
         if let Some(folder) = place.parent() {
             disk.sync_folder(folder).map_err(fault("sync", folder))?;
         }
@@ -231,12 +317,26 @@ pub(super) struct Inspected {
 impl Inspected {
     /// Returns the outcome for a journal whose file is missing: damage if frames of it were acknowledged.
     pub(super) fn missing(marks: &[Watermark], view: Option<Watermark>) -> Self {
-        let acknowledged = marks.iter().copied().chain(view).max_by_key(|mark| mark.length);
+        let acknowledged = marks
+            .iter()
+            .copied()
+            .chain(view)
+            .max_by_key(|mark| mark.length);
         let acknowledged = acknowledged.filter(|mark| mark.length > HEADER_BYTES);
         let id = acknowledged.map_or(0, |mark| mark.journal);
         let damage = acknowledged.map(|_| (0, "it is missing".to_owned()));
-        let end = Place { offset: HEADER_BYTES, chain: id };
-        Self { id, end, length: 0, acknowledged, is_met: false, damage }
+        let end = Place {
+            offset: HEADER_BYTES,
+            chain: id,
+        };
+        Self {
+            id,
+            end,
+            length: 0,
+            acknowledged,
+            is_met: false,
+            damage,
+        }
     }
 }
 
@@ -252,17 +352,33 @@ pub(super) fn inspect<E: From<JournalError>>(
     mut visit: impl FnMut(&[u8], Place) -> Result<(), E>,
 ) -> Result<Inspected, E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
-    let length = file.seek(SeekFrom::End(0)).map_err(fault("measure", path))?;
+    let length = file
+        .seek(SeekFrom::End(0))
+        .map_err(fault("measure", path))?;
     file.rewind().map_err(fault("seek in", path))?;
     let header = read_header(&mut *file, path)?;
     // The watermarks know the id where the header does not.
-    let id = header.as_ref().copied().unwrap_or(marks.first().or(view.as_ref()).map_or(0, |m| m.journal));
-    let ours = marks.iter().copied().chain(view).filter(|mark| mark.journal == id);
+    let id = header
+        .as_ref()
+        .copied()
+        .unwrap_or(marks.first().or(view.as_ref()).map_or(0, |m| m.journal));
+    let ours = marks
+        .iter()
+        .copied()
+        .chain(view)
+        .filter(|mark| mark.journal == id);
     let acknowledged = ours.max_by_key(|mark| mark.length);
     let mut damage = header.err().map(|what| (0, what));
-    let start = Place { offset: HEADER_BYTES, chain: id };
-    let mut frames =
-        Frames { path, reader: BufReader::new(file), at: start, length: length.max(HEADER_BYTES) };
+    let start = Place {
+        offset: HEADER_BYTES,
+        chain: id,
+    };
+    let mut frames = Frames {
+        path,
+        reader: BufReader::new(file),
+        at: start,
+        length: length.max(HEADER_BYTES),
+    };
     let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
     let mut is_met = is_acknowledged(start);
     let bad = loop {
@@ -283,9 +399,14 @@ pub(super) fn inspect<E: From<JournalError>>(
         // A journal has one before it has its name.
         None => damaged("its watermark is missing".to_owned()),
         Some(mark) if mark.length > end.offset => {
-            damaged(bad.clone().unwrap_or_else(|| format!("it ends before byte {}", mark.length)));
+            damaged(
+                bad.clone()
+                    .unwrap_or_else(|| format!("it ends before byte {}", mark.length)),
+            );
         }
-        Some(_) if !is_met => damaged("its frames are others than those that were acknowledged".to_owned()),
+        Some(_) if !is_met => {
+            damaged("its frames are others than those that were acknowledged".to_owned())
+        }
         Some(_) => {}
     }
     if let Some(what) = bad
@@ -293,7 +414,14 @@ pub(super) fn inspect<E: From<JournalError>>(
     {
         damaged(what);
     }
-    Ok(Inspected { id, end, length, acknowledged, is_met, damage })
+    Ok(Inspected {
+        id,
+        end,
+        length,
+        acknowledged,
+        is_met,
+        damage,
+    })
 }
 
 /// Calls `visit` for the payloads of all frames from `from` on, each with the frame's end, in the first
@@ -308,11 +436,23 @@ pub(super) fn replay<E: From<JournalError>>(
 ) -> Result<bool, E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
     let id = read_header(&mut *file, path)?;
-    let damaged =
-        |offset, what| JournalError::Damaged { path: path.to_owned(), offset, what, lost: String::new() };
+    let damaged = |offset, what| JournalError::Damaged {
+        path: path.to_owned(),
+        offset,
+        what,
+        lost: String::new(),
+    };
     let id = id.map_err(|what| damaged(0, what))?;
-    let at = Place { offset: HEADER_BYTES, chain: id };
-    let mut frames = Frames { path, reader: BufReader::new(file), at, length };
+    let at = Place {
+        offset: HEADER_BYTES,
+        chain: id,
+    };
+    let mut frames = Frames {
+        path,
+        reader: BufReader::new(file),
+        at,
+        length,
+    };
     let mut reached = false;
     loop {
         let begins = frames.at;
@@ -339,7 +479,8 @@ pub(super) fn scattered_frames<E: From<JournalError>>(
     mut visit: impl FnMut(&[u8], Place, Place) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut file = disk.open(path, Access::Read).map_err(fault("open", path))?;
-    file.seek(SeekFrom::Start(from)).map_err(fault("seek in", path))?;
+    file.seek(SeekFrom::Start(from))
+        .map_err(fault("seek in", path))?;
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes).map_err(fault("read", path))?;
     let mut at = 0;
@@ -361,10 +502,18 @@ fn frame_at(bytes: &[u8], offset: u64) -> Option<(&[u8], Place, Place)> {
     let (previous, rest) = rest.split_first_chunk::<8>()?;
     let (found, rest) = rest.split_first_chunk::<8>()?;
     let length = u32::from_le_bytes(*length);
-    let payload = rest.get(..length as usize).filter(|_| length > 0 && length as usize <= MAX_FRAME_BYTES)?;
-    let begins = Place { offset, chain: u64::from_le_bytes(*previous) };
+    let payload = rest
+        .get(..length as usize)
+        .filter(|_| length > 0 && length as usize <= MAX_FRAME_BYTES)?;
+    let begins = Place {
+        offset,
+        chain: u64::from_le_bytes(*previous),
+    };
     let chain = check(begins, length, payload);
-    let end = Place { offset: offset + FRAME_HEADER + u64::from(length), chain };
+    let end = Place {
+        offset: offset + FRAME_HEADER + u64::from(length),
+        chain,
+    };
     (chain == u64::from_le_bytes(*found)).then_some((payload, begins, end))
 }
 
@@ -383,20 +532,27 @@ fn rewrite(file: &mut dyn DiskFile, from: u64, to: u64) -> io::Result<()> {
 
 fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> JournalError {
     let path = path.to_owned();
-    move |source| JournalError::Io { doing, path: path.clone(), source: Arc::new(source) }
+    move |source| JournalError::Io {
+        doing,
+        path: path.clone(),
+        source: Arc::new(source),
+    }
 }
 
 /// Computes the check of a frame that begins at a place.
 fn check(begins: Place, length: u32, payload: &[u8]) -> u64 {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&begins.offset.to_le_bytes()).update(&length.to_le_bytes());
+    hasher
+        .update(&begins.offset.to_le_bytes())
+        .update(&length.to_le_bytes());
     hasher.update(&begins.chain.to_le_bytes()).update(payload);
     let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
 fn random_id(path: &Path) -> Result<u64, JournalError> {
-    getrandom::u64().map_err(|e| fault("draw a random id for", path)(io::Error::other(e.to_string())))
+    getrandom::u64()
+        .map_err(|e| fault("draw a random id for", path)(io::Error::other(e.to_string())))
 }
 
 fn header(id: u64) -> Vec<u8> {
@@ -410,7 +566,14 @@ fn header(id: u64) -> Vec<u8> {
 /// Creates an empty journal with its watermark. The watermark comes first: a journal without one is damaged.
 fn create(disk: &dyn Disk, path: &Path) -> Result<(), JournalError> {
     let journal = Journal::begin(disk, &path.with_extension("new"))?;
-    journal.install(disk, path, Numbers { next_job: 1, epoch: 0 })?;
+    journal.install(
+        disk,
+        path,
+        Numbers {
+            next_job: 1,
+            epoch: 0,
+        },
+    )?;
     Ok(())
 }
 
@@ -420,21 +583,39 @@ fn create(disk: &dyn Disk, path: &Path) -> Result<(), JournalError> {
 /// [`JournalError::BadHeader`] when another version has written the file.
 fn read_header(file: &mut dyn DiskFile, path: &Path) -> Result<Result<u64, String>, JournalError> {
     let mut bytes = Vec::new();
-    file.take(HEADER_BYTES).read_to_end(&mut bytes).map_err(fault("read", path))?;
-    let Some((magic, rest)) = bytes.split_first_chunk::<8>().filter(|_| bytes.len() as u64 == HEADER_BYTES)
+    file.take(HEADER_BYTES)
+        .read_to_end(&mut bytes)
+        .map_err(fault("read", path))?;
+    let Some((magic, rest)) = bytes
+        .split_first_chunk::<8>()
+        .filter(|_| bytes.len() as u64 == HEADER_BYTES)
     else {
         return Ok(Err("it is shorter than its header".to_owned()));
     };
-    let field =
-        |at: usize| rest.get(at..).and_then(|rest| rest.first_chunk::<4>()).copied().unwrap_or_default();
+    let field = |at: usize| {
+        rest.get(at..)
+            .and_then(|rest| rest.first_chunk::<4>())
+            .copied()
+            .unwrap_or_default()
+    };
     if field(12) != crc32c::crc32c(&bytes[..20]).to_le_bytes() {
         return Ok(Err("the checksum of its header does not match".to_owned()));
     }
     if magic != MAGIC || field(0) != VERSION.to_le_bytes() {
-        let what = format!("expected version {VERSION}, found {}", u32::from_le_bytes(field(0)));
-        return Err(JournalError::BadHeader { path: path.to_owned(), what });
+        let what = format!(
+            "expected version {VERSION}, found {}",
+            u32::from_le_bytes(field(0))
+        );
+        return Err(JournalError::BadHeader {
+            path: path.to_owned(),
+            what,
+        });
     }
-    Ok(Ok(rest.get(4..).and_then(|rest| rest.first_chunk::<8>()).copied().map_or(0, u64::from_le_bytes)))
+    Ok(Ok(rest
+        .get(4..)
+        .and_then(|rest| rest.first_chunk::<8>())
+        .copied()
+        .map_or(0, u64::from_le_bytes)))
 }
 
 enum Next {
@@ -462,28 +643,51 @@ impl Frames<'_> {
         }
         let mut frame = vec![0; FRAME_HEADER as usize];
         self.fill(&mut frame)?;
-        let length = frame.first_chunk::<4>().copied().map_or(0, u32::from_le_bytes);
-        if length == 0 || length as usize > MAX_FRAME_BYTES || u64::from(length) > left - FRAME_HEADER {
-            return Ok(Next::Bad(format!("a frame of {length} bytes where {left} bytes are left")));
+        let length = frame
+            .first_chunk::<4>()
+            .copied()
+            .map_or(0, u32::from_le_bytes);
+        if length == 0
+            || length as usize > MAX_FRAME_BYTES
+            || u64::from(length) > left - FRAME_HEADER
+        {
+            return Ok(Next::Bad(format!(
+                "a frame of {length} bytes where {left} bytes are left"
+            )));
         }
         frame.resize(FRAME_HEADER as usize + length as usize, 0);
         self.fill(&mut frame[FRAME_HEADER as usize..])?;
         match frame_at(&frame, self.at.offset) {
             Some((_, begins, end)) if begins == self.at => self.at = end,
-            Some(_) => return Ok(Next::Bad("the frame does not continue the one before".to_owned())),
-            None => return Ok(Next::Bad("the check of the frame does not match".to_owned())),
+            Some(_) => {
+                return Ok(Next::Bad(
+                    "the frame does not continue the one before".to_owned(),
+                ));
+            }
+            None => {
+                return Ok(Next::Bad(
+                    "the check of the frame does not match".to_owned(),
+                ));
+            }
         }
         frame.drain(..FRAME_HEADER as usize);
         Ok(Next::Frame(frame))
     }
 
     fn fill(&mut self, bytes: &mut [u8]) -> Result<(), JournalError> {
-        self.reader.read_exact(bytes).map_err(fault("read", self.path))
+        self.reader
+            .read_exact(bytes)
+            .map_err(fault("read", self.path))
     }
 }
 
 /// Returns true if a good frame lies behind the bad one at `bad`: then the bad one was once whole.
-fn is_followed_by_frame(disk: &dyn Disk, path: &Path, bad: u64, length: u64) -> Result<bool, JournalError> {
+fn is_followed_by_frame(
+    disk: &dyn Disk,
+    path: &Path,
+    bad: u64,
+    length: u64,
+) -> Result<bool, JournalError> {
     // One unfinished write leaves no more than this.
     if length.saturating_sub(bad) > FRAME_HEADER + MAX_FRAME_BYTES as u64 {
         return Ok(true);

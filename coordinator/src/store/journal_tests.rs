@@ -5,7 +5,10 @@ use super::super::disk::SystemDisk;
 use super::super::disk::simulated::{Faults, SimulatedDisk};
 use super::*;
 
-const NUMBERS: Numbers = Numbers { next_job: 7, epoch: 3 };
+const NUMBERS: Numbers = Numbers {
+    next_job: 7,
+    epoch: 3,
+};
 
 fn open(path: &Path) -> Result<Journal, JournalError> {
     Journal::open(&SystemDisk, path, None)
@@ -14,17 +17,28 @@ fn open(path: &Path) -> Result<Journal, JournalError> {
 fn payloads(path: &Path) -> Result<Vec<Vec<u8>>, JournalError> {
     let journal = open(path)?;
     let mut all = Vec::new();
-    let start = Place { offset: HEADER_BYTES, chain: journal.id() };
-    let reached = replay(&SystemDisk, path, start, journal.end().offset, |payload, _| {
-        all.push(payload.to_vec());
-        Ok::<_, JournalError>(())
-    })?;
+    let start = Place {
+        offset: HEADER_BYTES,
+        chain: journal.id(),
+    };
+    let reached = replay(
+        &SystemDisk,
+        path,
+        start,
+        journal.end().offset,
+        |payload, _| {
+            all.push(payload.to_vec());
+            Ok::<_, JournalError>(())
+        },
+    )?;
     assert!(reached);
     Ok(all)
 }
 
 fn sample() -> Vec<Vec<u8>> {
-    (1..8_u8).map(|i| (0..i * 5).map(|j| j.wrapping_mul(i)).collect()).collect()
+    (1..8_u8)
+        .map(|i| (0..i * 5).map(|j| j.wrapping_mul(i)).collect())
+        .collect()
 }
 
 /// Writes a journal of the samples. Returns its bytes, and the bytes of its watermark before the last frame.
@@ -50,8 +64,15 @@ fn every_cut_of_acknowledged_journal_is_refused() {
     let (whole, _) = written(&path);
     for length in 0..whole.len() {
         std::fs::write(&path, &whole[..length]).unwrap();
-        assert!(matches!(payloads(&path), Err(JournalError::Damaged { .. })), "{length}");
-        assert_eq!(std::fs::read(&path).unwrap(), whole[..length], "a refused journal must stay as it is");
+        assert!(
+            matches!(payloads(&path), Err(JournalError::Damaged { .. })),
+            "{length}"
+        );
+        assert_eq!(
+            std::fs::read(&path).unwrap(),
+            whole[..length],
+            "a refused journal must stay as it is"
+        );
     }
     std::fs::remove_file(&path).unwrap();
     assert!(matches!(payloads(&path), Err(JournalError::Missing { .. })));
@@ -70,7 +91,11 @@ fn torn_frame_behind_watermark_is_cut_off() {
         // A crash before the acknowledgement leaves the watermark before the frame.
         std::fs::write(watermark::path_of(&path), &mark).unwrap();
         let found = payloads(&path).unwrap();
-        let count = if length == whole.len() { sample().len() } else { sample().len() - 1 };
+        let count = if length == whole.len() {
+            sample().len()
+        } else {
+            sample().len() - 1
+        };
         assert_eq!(found, sample()[..count]);
         open(&path).unwrap().append(b"more", NUMBERS).unwrap();
         assert_eq!(payloads(&path).unwrap().last().unwrap(), b"more");
@@ -91,7 +116,11 @@ fn every_flip_and_zeroed_end_is_refused() {
             Err(JournalError::Damaged { offset, .. }) => assert!(offset <= at as u64),
             other => panic!("damage at {at} went unseen: {other:?}"),
         }
-        assert_eq!(std::fs::read(&path).unwrap(), bytes, "a refused journal must stay as it is");
+        assert_eq!(
+            std::fs::read(&path).unwrap(),
+            bytes,
+            "a refused journal must stay as it is"
+        );
     };
     for at in 0..whole.len() {
         for bit in 0..8 {
@@ -131,7 +160,10 @@ fn frame_is_bound_to_its_place_and_history() {
     assert!(matches!(open(&path), Err(JournalError::Damaged { .. })));
     let (_, begins, _) = frame_at(&whole[first..], first as u64).unwrap();
     assert_eq!(begins.offset, first as u64);
-    assert!(frame_at(&whole[first..], second as u64).is_none(), "the check must cover the offset");
+    assert!(
+        frame_at(&whole[first..], second as u64).is_none(),
+        "the check must cover the offset"
+    );
     // Another history of the same length, which the watermark does not record.
     let other = directory.path().join("other");
     let mut journal = open(&other).unwrap();
@@ -170,11 +202,20 @@ fn view_ahead_of_journal_is_damage() {
     let path = directory.path().join("journal");
     written(&path);
     let journal = open(&path).unwrap();
-    let end = Place { offset: journal.end().offset + 30, chain: 1 };
+    let end = Place {
+        offset: journal.end().offset + 30,
+        chain: 1,
+    };
     let ahead = Watermark::new(journal.id(), end, NUMBERS);
-    assert!(matches!(Journal::open(&SystemDisk, &path, Some(ahead)), Err(JournalError::Damaged { .. })));
+    assert!(matches!(
+        Journal::open(&SystemDisk, &path, Some(ahead)),
+        Err(JournalError::Damaged { .. })
+    ));
     // A view of another journal does not count.
-    let foreign = Watermark { journal: !journal.id(), ..ahead };
+    let foreign = Watermark {
+        journal: !journal.id(),
+        ..ahead
+    };
     assert!(Journal::open(&SystemDisk, &path, Some(foreign)).is_ok());
 }
 
@@ -184,23 +225,37 @@ fn replay_begins_at_frames_only() {
     let path = directory.path().join("journal");
     let (whole, _) = written(&path);
     let journal = open(&path).unwrap();
-    let mut ends = vec![Place { offset: HEADER_BYTES, chain: journal.id() }];
-    replay(&SystemDisk, &path, ends[0], journal.end().offset, |_, end| {
-        ends.push(end);
-        Ok::<_, JournalError>(())
-    })
+    let mut ends = vec![Place {
+        offset: HEADER_BYTES,
+        chain: journal.id(),
+    }];
+    replay(
+        &SystemDisk,
+        &path,
+        ends[0],
+        journal.end().offset,
+        |_, end| {
+            ends.push(end);
+            Ok::<_, JournalError>(())
+        },
+    )
     .unwrap();
     for offset in 0..whole.len() as u64 + 10 {
         let known = ends.iter().position(|end| end.offset == offset);
         for wrong in [0, 1] {
             let chain = known.map_or(0, |at| ends[at].chain) ^ wrong;
             let mut seen = 0;
-            let reached =
-                replay(&SystemDisk, &path, Place { offset, chain }, journal.end().offset, |_, _| {
+            let reached = replay(
+                &SystemDisk,
+                &path,
+                Place { offset, chain },
+                journal.end().offset,
+                |_, _| {
                     seen += 1;
                     Ok::<_, JournalError>(())
-                })
-                .unwrap();
+                },
+            )
+            .unwrap();
             match known.filter(|_| wrong == 0) {
                 Some(index) => assert_eq!((reached, seen), (true, sample().len() - index)),
                 None => assert_eq!((reached, seen), (false, 0)),
@@ -224,7 +279,10 @@ fn on_simulated_disk() -> (SimulatedDisk, PathBuf, Journal) {
 fn count(disk: &SimulatedDisk, path: &Path) -> usize {
     let journal = Journal::open(disk, path, None).unwrap();
     let mut count = 0;
-    let start = Place { offset: HEADER_BYTES, chain: journal.id() };
+    let start = Place {
+        offset: HEADER_BYTES,
+        chain: journal.id(),
+    };
     replay(disk, path, start, journal.end().offset, |_, _| {
         count += 1;
         Ok::<_, JournalError>(())
@@ -237,7 +295,10 @@ fn count(disk: &SimulatedDisk, path: &Path) -> usize {
 fn append_on_full_disk_leaves_journal_unchanged() {
     let (disk, path, mut journal) = on_simulated_disk();
     disk.set_room(Some(32));
-    assert!(matches!(journal.append(&[7; 13], NUMBERS), Err(JournalError::NoSpace { .. })));
+    assert!(matches!(
+        journal.append(&[7; 13], NUMBERS),
+        Err(JournalError::NoSpace { .. })
+    ));
     // Payloads that still fit are accepted.
     disk.set_room(Some(32));
     journal.append(&[7; 12], NUMBERS).unwrap();
@@ -248,10 +309,19 @@ fn append_on_full_disk_leaves_journal_unchanged() {
 #[test]
 fn failed_sync_ends_journal() {
     let (disk, _, mut journal) = on_simulated_disk();
-    disk.set_faults(Faults { sync: 1, ..Faults::default() });
-    assert!(matches!(journal.append(b"x", NUMBERS), Err(JournalError::Unusable { .. })));
+    disk.set_faults(Faults {
+        sync: 1,
+        ..Faults::default()
+    });
+    assert!(matches!(
+        journal.append(b"x", NUMBERS),
+        Err(JournalError::Unusable { .. })
+    ));
     disk.set_faults(Faults::default());
-    assert!(matches!(journal.append(b"x", NUMBERS), Err(JournalError::Unusable { .. })));
+    assert!(matches!(
+        journal.append(b"x", NUMBERS),
+        Err(JournalError::Unusable { .. })
+    ));
 }
 
 #[test]
@@ -263,7 +333,10 @@ fn journal_opens_after_failed_write_of_watermark() {
         let mut journal = Journal::open(&disk, &path, None).unwrap();
         journal.append(b"one", NUMBERS).unwrap();
         // The write fails after none, some or all of its bytes were written.
-        disk.set_faults(Faults { write: 2, ..Faults::default() });
+        disk.set_faults(Faults {
+            write: 2,
+            ..Faults::default()
+        });
         let appended = journal.append(b"two", NUMBERS).is_ok();
         disk.set_faults(Faults::default());
         drop(journal);
@@ -294,7 +367,10 @@ fn too_long_frame_is_not_written() {
     let (whole, _) = written(&path);
     let mut journal = open(&path).unwrap();
     let long = vec![0; MAX_FRAME_BYTES + 1];
-    assert!(matches!(journal.append(&long, NUMBERS), Err(JournalError::Write { .. })));
+    assert!(matches!(
+        journal.append(&long, NUMBERS),
+        Err(JournalError::Write { .. })
+    ));
     drop(journal);
     assert_eq!(std::fs::read(&path).unwrap(), whole);
 }

@@ -32,9 +32,16 @@ pub const MAX_OWNERS: usize = 24;
 pub const MAX_TILES: u32 = 1 << 20;
 
 /// Refuses an identifier that is too long or that JSON would have to escape.
-pub(super) fn check_identifier(what: &'static str, text: &str, limit: usize) -> Result<(), StoreError> {
+pub(super) fn check_identifier(
+    what: &'static str,
+    text: &str,
+    limit: usize,
+) -> Result<(), StoreError> {
     check_length(what, text.len(), limit)?;
-    match text.chars().find(|c| c.is_control() || matches!(c, '"' | '\\')) {
+    match text
+        .chars()
+        .find(|c| c.is_control() || matches!(c, '"' | '\\'))
+    {
         Some(found) => Err(StoreError::BadCharacter { what, found }),
         None => Ok(()),
     }
@@ -50,8 +57,20 @@ pub(super) fn check_name(what: &'static str, text: &str, limit: usize) -> Result
 }
 
 /// Refuses data longer than its bound, in bytes.
-pub(super) fn check_length(what: &'static str, length: usize, limit: usize) -> Result<(), StoreError> {
-    if length > limit { Err(StoreError::TooLong { what, length, limit }) } else { Ok(()) }
+pub(super) fn check_length(
+    what: &'static str,
+    length: usize,
+    limit: usize,
+) -> Result<(), StoreError> {
+    if length > limit {
+        Err(StoreError::TooLong {
+            what,
+            length,
+            limit,
+        })
+    } else {
+        Ok(())
+    }
 }
 
 /// A reason made recordable: quotes and control characters replaced, cut at a character boundary.

@@ -44,11 +44,19 @@ struct Applied {
 impl Applied {
     /// Returns the state before the first frame of a journal.
     fn nothing_of(journal: u64) -> Self {
-        Self { journal, offset: HEADER_BYTES, chain: journal, sum: 0 }
+        Self {
+            journal,
+            offset: HEADER_BYTES,
+            chain: journal,
+            sum: 0,
+        }
     }
 
     fn place(&self) -> Place {
-        Place { offset: self.offset, chain: self.chain }
+        Place {
+            offset: self.offset,
+            chain: self.chain,
+        }
     }
 }
 
@@ -96,17 +104,31 @@ impl Table for Entries {
 
 impl std::fmt::Debug for Live {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Live").field("applied", &self.applied).finish_non_exhaustive()
+        f.debug_struct("Live")
+            .field("applied", &self.applied)
+            .finish_non_exhaustive()
     }
 }
 
 impl Table for Live {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
-        self.read(|entries| Over { under: entries, changes: &self.waiting }.get(key))
+        self.read(|entries| {
+            Over {
+                under: entries,
+                changes: &self.waiting,
+            }
+            .get(key)
+        })
     }
 
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
-        self.read(|entries| Over { under: entries, changes: &self.waiting }.scan(prefix))
+        self.read(|entries| {
+            Over {
+                under: entries,
+                changes: &self.waiting,
+            }
+            .scan(prefix)
+        })
     }
 }
 
@@ -127,11 +149,19 @@ impl Table for sled::Db {
 
 impl Live {
     /// Opens sled, the view of a journal, and checks the sum of its entries' hashes.
-    pub(super) fn open(path: &Path, disk: Arc<dyn Disk>, journal: &Path) -> Result<Self, StoreError> {
+    pub(super) fn open(
+        path: &Path,
+        disk: Arc<dyn Disk>,
+        journal: &Path,
+    ) -> Result<Self, StoreError> {
         let mut tries = 0;
         let db = loop {
             match guarded(|| {
-                sled::Config::new().path(path).flush_every_ms(None).cache_capacity(CACHE_BYTES).open()
+                sled::Config::new()
+                    .path(path)
+                    .flush_every_ms(None)
+                    .cache_capacity(CACHE_BYTES)
+                    .open()
             }) {
                 // The directory's lock keeps other processes out, so sled's previous handle in this process
                 // is still being closed.
@@ -147,10 +177,13 @@ impl Live {
             None => Applied::nothing_of(0),
         };
         let live = Self::of(Entries::Sled(db), applied, disk, journal);
-        let sum =
-            live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| sum.wrapping_add(hash(key, value)));
+        let sum = live.db.scan(&[])?.iter().fold(0, |sum: u64, (key, value)| {
+            sum.wrapping_add(hash(key, value))
+        });
         if sum != applied.sum {
-            return Err(StoreError::View { what: "its entries do not add up".to_owned() });
+            return Err(StoreError::View {
+                what: "its entries do not add up".to_owned(),
+            });
         }
         Ok(live)
     }
@@ -158,29 +191,54 @@ impl Live {
     /// Begins an empty view in memory, which lasts until the end of the process.
     #[cfg(test)]
     pub(super) fn in_memory(disk: Arc<dyn Disk>, journal: &Path) -> Self {
-        Self::of(Entries::Memory(BTreeMap::new()), Applied::nothing_of(0), disk, journal)
+        Self::of(
+            Entries::Memory(BTreeMap::new()),
+            Applied::nothing_of(0),
+            disk,
+            journal,
+        )
     }
 
     fn of(db: Entries, applied: Applied, disk: Arc<dyn Disk>, path: &Path) -> Self {
         let waiting = Changes::new();
-        Self { db, anew: OnceLock::new(), disk, path: path.to_owned(), applied, waiting }
+        Self {
+            db,
+            anew: OnceLock::new(),
+            disk,
+            path: path.to_owned(),
+            applied,
+            waiting,
+        }
     }
 
     /// Returns the acknowledged part of the journal that the view was made from; `None` for a view of no
     /// frame.
     pub(super) fn watermark(&self) -> Result<Option<Watermark>, StoreError> {
-        let Applied { journal, offset: length, chain, .. } = self.applied;
+        let Applied {
+            journal,
+            offset: length,
+            chain,
+            ..
+        } = self.applied;
         if length <= HEADER_BYTES {
             return Ok(None);
         }
         let view = View(self);
         let (next_job, epoch) = (view.next_job()?.0, view.epoch()?);
-        Ok(Some(Watermark { journal, length, chain, next_job, epoch }))
+        Ok(Some(Watermark {
+            journal,
+            length,
+            chain,
+            next_job,
+            epoch,
+        }))
     }
 
     /// Returns the entries with the part of the journal that they stand for; `None` for a view of no frame.
     pub(super) fn entries(&self) -> Result<Option<ViewEntries>, StoreError> {
-        let Some(mark) = self.watermark()? else { return Ok(None) };
+        let Some(mark) = self.watermark()? else {
+            return Ok(None);
+        };
         Ok(Some((mark, self.scan(&[])?.into_iter().collect())))
     }
 
@@ -190,7 +248,9 @@ impl Live {
             self.applied = Applied::nothing_of(journal.id());
         }
         if self.applied.journal != journal.id() {
-            return Err(StoreError::View { what: "it was made from another journal".to_owned() });
+            return Err(StoreError::View {
+                what: "it was made from another journal".to_owned(),
+            });
         }
         if !self.replay(journal.end().offset)? {
             let (has, end) = (self.applied.offset, journal.end().offset);
@@ -214,7 +274,11 @@ impl Live {
             }
             end = frame_end;
             self.waiting = staged;
-            if self.waiting.len() >= REBUILD_KEYS { self.apply(end) } else { Ok(()) }
+            if self.waiting.len() >= REBUILD_KEYS {
+                self.apply(end)
+            } else {
+                Ok(())
+            }
         })?;
         if reached {
             self.apply(end)?;
@@ -244,7 +308,9 @@ impl Live {
             |unread| tracing::error!(%what, %unread, "neither the store's view nor its journal can be read"),
         );
         if !replayed? {
-            return Err(StoreError::View { what: what.to_owned() });
+            return Err(StoreError::View {
+                what: what.to_owned(),
+            });
         }
         let entries: BTreeMap<Bytes, Bytes> = anew.db.scan(&[])?.into_iter().collect();
         tracing::warn!(
@@ -326,7 +392,11 @@ impl Live {
         if self.waiting.is_empty() && self.applied.place() == end {
             return Ok(());
         }
-        let mut applied = Applied { offset: end.offset, chain: end.chain, ..self.applied };
+        let mut applied = Applied {
+            offset: end.offset,
+            chain: end.chain,
+            ..self.applied
+        };
         let mut batch = sled::Batch::default();
         for (key, value) in &self.waiting {
             if let Some(old) = self.db.get(key)? {
@@ -362,7 +432,10 @@ impl Live {
 
 fn hash(key: &[u8], value: &[u8]) -> u64 {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&(key.len() as u64).to_le_bytes()).update(key).update(value);
+    hasher
+        .update(&(key.len() as u64).to_le_bytes())
+        .update(key)
+        .update(value);
     let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
@@ -370,12 +443,18 @@ fn hash(key: &[u8], value: &[u8]) -> u64 {
 /// Calls sled. On damaged files it panics in places where it should return an error.
 fn guarded<T>(call: impl FnOnce() -> sled::Result<T>) -> Result<T, StoreError> {
     match catch_unwind(AssertUnwindSafe(call)) {
-        Ok(result) => result.map_err(|e| StoreError::View { what: e.to_string() }),
-        Err(_) => Err(StoreError::View { what: "sled panicked".to_owned() }),
+        Ok(result) => result.map_err(|e| StoreError::View {
+            what: e.to_string(),
+        }),
+        Err(_) => Err(StoreError::View {
+            what: "sled panicked".to_owned(),
+        }),
     }
 }
 
 #[cfg(test)]
 fn stuck() -> StoreError {
-    StoreError::View { what: "no space left on device".to_owned() }
+    StoreError::View {
+        what: "no space left on device".to_owned(),
+    }
 }

@@ -10,7 +10,9 @@ use super::private::create_private;
 
 /// A directory of which this process is the only user, until this is dropped.
 #[derive(Debug)]
-pub struct OwnDirectory(#[allow(dead_code, reason = "its lock is released when it is dropped")] File);
+pub struct OwnDirectory(
+    #[allow(dead_code, reason = "its lock is released when it is dropped")] File,
+);
 
 impl OwnDirectory {
     /// Creates the directory if it is missing and takes its lock.
@@ -58,8 +60,15 @@ fn held(taken: Result<(), TryLockError>, file: &mut File, path: &Path) -> Result
             let mut pid = String::new();
             // Only for the message; its holder may not have written it yet.
             let known = file.read_to_string(&mut pid).is_ok() && !pid.trim().is_empty();
-            let pid = if known { pid.trim().to_owned() } else { "not known".to_owned() };
-            Err(StoreError::InUse { path: path.to_owned(), pid })
+            let pid = if known {
+                pid.trim().to_owned()
+            } else {
+                "not known".to_owned()
+            };
+            Err(StoreError::InUse {
+                path: path.to_owned(),
+                pid,
+            })
         }
         Err(TryLockError::Error(source)) => Err(fault("lock", path)(source)),
     }
@@ -68,5 +77,9 @@ fn held(taken: Result<(), TryLockError>, file: &mut File, path: &Path) -> Result
 /// What failed while `doing` something to a path of the store.
 pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(std::io::Error) -> StoreError {
     let path = path.to_owned();
-    move |source| StoreError::Io { doing, path: path.clone(), source: Arc::new(source) }
+    move |source| StoreError::Io {
+        doing,
+        path: path.clone(),
+        source: Arc::new(source),
+    }
 }

@@ -23,15 +23,22 @@ impl MemoryStore {
 
     /// Creates a store of these entries.
     pub(super) fn with(entries: BTreeMap<Bytes, Bytes>) -> Self {
-        Self { table: Mutex::new(entries) }
+        Self {
+            table: Mutex::new(entries),
+        }
     }
 }
 
 impl Engine for MemoryStore {
-    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
+    fn query<A>(
+        &self,
+        ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
+    ) -> Result<A, StoreError> {
         // Changes are computed before the first is made, so a panic elsewhere cannot leave the table half
         // changed.
-        ask(View(&*self.table.lock().unwrap_or_else(PoisonError::into_inner)))
+        ask(View(
+            &*self.table.lock().unwrap_or_else(PoisonError::into_inner),
+        ))
     }
 
     fn command<A: Send + 'static>(

@@ -48,24 +48,25 @@ mod power_failures;
 
 pub use api::Store;
 pub use blobs::{
-    Address, BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, Carried, Direct, FileBlobs,
-    MemoryBlobs, ObjectBlobs, PlaceError, Staged, Stored, Ways,
+    Address, BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, Carried, Direct,
+    FileBlobs, MemoryBlobs, ObjectBlobs, PlaceError, Staged, Stored, Ways,
 };
 pub use entries::Entry;
 pub use error::{JournalError, StoreError};
 pub use identity::{StoreId, StoreIdentity};
 pub use limits::{
     MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
-    MAX_REASON_BYTES, MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
+    MAX_REASON_BYTES, MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES,
+    MAX_WORKER_BYTES,
 };
 pub use lock::OwnDirectory;
 pub use memory::MemoryStore;
 pub use outcomes::{MAX_OUTCOME_BYTES, Outcomes};
 pub use postgres::{DatabaseAddress, Leader, PostgresStore, Replica, Role};
 pub use records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, NextSpan, QuarantineRecord, RetentionStamp,
-    SceneRecord, Submitted, TileCheck, TileFailure, TileRecord, TileResult, TileState, TileStats,
-    TrustedSpan, owned_key, owned_request,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, NextSpan, QuarantineRecord,
+    RetentionStamp, SceneRecord, Submitted, TileCheck, TileFailure, TileRecord, TileResult,
+    TileState, TileStats, TrustedSpan, owned_key, owned_request,
 };
 pub use salvage::Damage;
 pub use sled_store::{Compacted, Repaired, SledStore, StoreInspection};

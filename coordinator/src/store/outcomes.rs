@@ -34,17 +34,25 @@ type Ends = Option<Vec<u64>>;
 impl Outcomes {
     /// The outcomes in a directory, which is created when the first one is kept.
     pub fn of(directory: PathBuf) -> Self {
-        Self { directory: Some(directory), files: Mutex::default() }
+        Self {
+            directory: Some(directory),
+            files: Mutex::default(),
+        }
     }
 
     /// Keeps nothing.
     pub fn nowhere() -> Self {
-        Self { directory: None, files: Mutex::default() }
+        Self {
+            directory: None,
+            files: Mutex::default(),
+        }
     }
 
     /// Number of outcomes of a tile.
     pub fn count(&self, tile: Tile) -> u32 {
-        let Some(path) = self.path(tile) else { return 0 };
+        let Some(path) = self.path(tile) else {
+            return 0;
+        };
         let file = self.file(tile);
         let count = read(&mut lock(&file), &path).len() as u32;
         if count == 0 {
@@ -56,15 +64,28 @@ impl Outcomes {
     /// Stores the outcome of a tile's next phase, or of an earlier one, which replaces another one and those
     /// behind it. Returns true if the outcome is stored now; a full disk returns false.
     pub fn push(&self, tile: Tile, phase: u32, bytes: &[u8]) -> bool {
-        self.push_from(tile, phase, (bytes.len() as u64, blake3::hash(bytes)), &mut &*bytes)
+        self.push_from(
+            tile,
+            phase,
+            (bytes.len() as u64, blake3::hash(bytes)),
+            &mut &*bytes,
+        )
     }
 
     /// Stores an outcome as [`Outcomes::push`] does, from a reader of bytes with this length and this hash.
-    pub fn push_from(&self, tile: Tile, phase: u32, of: (u64, blake3::Hash), bytes: &mut dyn Read) -> bool {
+    pub fn push_from(
+        &self,
+        tile: Tile,
+        phase: u32,
+        of: (u64, blake3::Hash),
+        bytes: &mut dyn Read,
+    ) -> bool {
         if phase < self.count(tile) && self.is_stored(tile, phase, of) {
             return true;
         }
-        let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else { return false };
+        let (Some(path), Some(directory)) = (self.path(tile), &self.directory) else {
+            return false;
+        };
         let file = self.file(tile);
         let kept = append(&mut lock(&file), tile, (directory, &path), phase, of, bytes);
         if !kept {
@@ -87,7 +108,9 @@ impl Outcomes {
 
     /// Returns true if a stored outcome has this length and this hash.
     fn is_stored(&self, tile: Tile, phase: u32, of: (u64, blake3::Hash)) -> bool {
-        let Some(mut file) = self.at(tile, phase) else { return false };
+        let Some(mut file) = self.at(tile, phase) else {
+            return false;
+        };
         header(&mut file) == Some(of) && is_whole(&mut file, of.0, of.1)
     }
 
@@ -124,14 +147,19 @@ impl Outcomes {
 
     /// Forgets the outcomes of all jobs for which `is_needed` says no.
     pub fn sweep(&self, is_needed: impl Fn(JobId) -> bool) {
-        let Some(directory) = &self.directory else { return };
+        let Some(directory) = &self.directory else {
+            return;
+        };
         // There is no directory before the first outcome.
-        let Ok(entries) = std::fs::read_dir(directory) else { return };
+        let Ok(entries) = std::fs::read_dir(directory) else {
+            return;
+        };
         for entry in entries.flatten() {
             let name = entry.file_name();
             let numbers = name.to_str().and_then(|name| name.split_once('.'));
-            let tile = numbers
-                .and_then(|(job, tile)| Some((JobId(job.parse().ok()?), TileIndex(tile.parse().ok()?))));
+            let tile = numbers.and_then(|(job, tile)| {
+                Some((JobId(job.parse().ok()?), TileIndex(tile.parse().ok()?)))
+            });
             if let Some(tile) = tile.filter(|(job, _)| !is_needed(*job)) {
                 self.remove(tile);
             }
@@ -152,7 +180,9 @@ impl Outcomes {
     }
 
     fn path(&self, (job, tile): Tile) -> Option<PathBuf> {
-        self.directory.as_ref().map(|d| d.join(format!("{job}.{tile}")))
+        self.directory
+            .as_ref()
+            .map(|d| d.join(format!("{job}.{tile}")))
     }
 }
 
@@ -172,7 +202,11 @@ fn append(
     ends.truncate(phase as usize);
     let start = ends.last().copied().unwrap_or(0);
     let written = std::fs::create_dir_all(directory).and_then(|()| {
-        let mut file = OpenOptions::new().write(true).create(true).truncate(false).open(path)?;
+        let mut file = OpenOptions::new()
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)?;
         // Behind the last whole frame there may be a part of one.
         file.set_len(start)?;
         file.seek(SeekFrom::Start(start))?;
@@ -186,11 +220,19 @@ fn append(
             true
         }
         Ok(written) => {
-            tracing::warn!("phase {phase} of tile {} of job {} ended after {written} bytes", tile.1, tile.0);
+            tracing::warn!(
+                "phase {phase} of tile {} of job {} ended after {written} bytes",
+                tile.1,
+                tile.0
+            );
             false
         }
         Err(e) => {
-            tracing::warn!("phase {phase} of tile {} of job {} is not kept: {e}", tile.1, tile.0);
+            tracing::warn!(
+                "phase {phase} of tile {} of job {} is not kept: {e}",
+                tile.1,
+                tile.0
+            );
             false
         }
     }
@@ -262,7 +304,9 @@ mod tests {
         assert!(outcomes.push(TILE, 0, b"first"));
         assert_eq!(outcomes.count(TILE), 1);
         assert!(
-            outcomes.push(TILE, 1, b"") && outcomes.push(TILE, 1, b"") && outcomes.push(TILE, 0, b"first")
+            outcomes.push(TILE, 1, b"")
+                && outcomes.push(TILE, 1, b"")
+                && outcomes.push(TILE, 0, b"first")
         );
         assert!(outcomes.push(TILE, 2, b"third"));
         let path = directory.path().join("crews").join("3.7");

@@ -63,7 +63,9 @@ impl World {
 
     /// Takes the loss of a repair into account; a job that is gone without being named is an error.
     fn forget_lost(&mut self, loss: &Loss) -> Result<(), String> {
-        let Some((store, _)) = self.disk.get() else { return Ok(()) };
+        let Some((store, _)) = self.disk.get() else {
+            return Ok(());
+        };
         for job in self.jobs.keys().copied().collect::<Vec<_>>() {
             if store.job(JobId(job)).map_err(|e| e.to_string())?.is_none() {
                 if !loss.names(job) {
@@ -75,7 +77,11 @@ impl World {
         }
         if loss.is_unmeasured {
             // Neither the journal's header nor a watermark is left, so that the numbers are unknown.
-            self.highest = store.jobs().map_err(|e| e.to_string())?.last().map_or(0, |job| job.id.0);
+            self.highest = store
+                .jobs()
+                .map_err(|e| e.to_string())?
+                .last()
+                .map_or(0, |job| job.id.0);
         } else if !loss.is_loss {
             return Ok(());
         }
@@ -90,7 +96,9 @@ impl World {
     }
 
     fn check(&mut self) -> Result<(), String> {
-        let Some((store, blobs)) = self.disk.get() else { return Ok(()) };
+        let Some((store, blobs)) = self.disk.get() else {
+            return Ok(());
+        };
         let text = |e: StoreError| e.to_string();
         for (job, key) in &self.jobs {
             match store.job(JobId(*job)).map_err(text)? {
@@ -99,9 +107,14 @@ impl World {
             }
         }
         for ((job, tile), bytes) in &self.outputs {
-            let state = store.tile(JobId(*job), TileIndex(*tile)).map_err(text)?.state;
+            let state = store
+                .tile(JobId(*job), TileIndex(*tile))
+                .map_err(text)?
+                .state;
             let TileState::Done { digest: kept, .. } = state else {
-                return Err(format!("the acknowledged output of tile {tile} of job {job} became {state:?}"));
+                return Err(format!(
+                    "the acknowledged output of tile {tile} of job {job} became {state:?}"
+                ));
             };
             if kept != digest(bytes) {
                 return Err(format!("tile {tile} of job {job} has another output"));
@@ -110,7 +123,8 @@ impl World {
                 Ok(read) if read == *bytes => {}
                 Ok(_) => return Err("a blob has other bytes than its digest".to_owned()),
                 // A misplaced write may have hit this file.
-                Err(BlobError::Damaged { .. } | BlobError::Missing { .. }) if self.disk.misdirects() => {}
+                Err(BlobError::Damaged { .. } | BlobError::Missing { .. })
+                    if self.disk.misdirects() => {}
                 Err(e) => return Err(format!("the blob of tile {tile} of job {job}: {e}")),
             }
         }
@@ -123,7 +137,9 @@ impl World {
     /// Runs a command; returns false if the store cannot continue.
     fn command(&mut self) -> Result<bool, String> {
         let pick = self.random.bits();
-        let Some((store, blobs)) = self.disk.get() else { return Ok(false) };
+        let Some((store, blobs)) = self.disk.get() else {
+            return Ok(false);
+        };
         let outcome = match pick % 4 {
             0 => {
                 let scene = SceneRecord {
@@ -147,7 +163,10 @@ impl World {
                     tiles: TILES,
                     submitted_at_ms: 1,
                 };
-                match store.record_scene(scene).and_then(|()| store.submit_job(new)) {
+                match store
+                    .record_scene(scene)
+                    .and_then(|()| store.submit_job(new))
+                {
                     Ok(submitted) => {
                         let id = submitted.id.0;
                         if id <= self.highest {
@@ -162,22 +181,36 @@ impl World {
             }
             1 => store.begin_epoch().map(drop),
             _ => {
-                let Some(job) = self.jobs.keys().copied().nth((pick >> 8) as usize % self.jobs.len().max(1))
+                let Some(job) = self
+                    .jobs
+                    .keys()
+                    .copied()
+                    .nth((pick >> 8) as usize % self.jobs.len().max(1))
                 else {
                     return Ok(true);
                 };
                 let tile = (pick >> 40) as u32 % TILES;
                 // All outputs of one tile are equal.
-                let bytes = format!("{job} {tile} ").repeat(1 + (job as usize * 31 + tile as usize) % 300);
+                let bytes =
+                    format!("{job} {tile} ").repeat(1 + (job as usize * 31 + tile as usize) % 300);
                 let bytes = bytes.into_bytes();
                 match blobs.put(&bytes) {
                     Err(_) => return Ok(true),
                     Ok(digest) => {
-                        let stats = TileStats { worker: "w".to_owned(), ..TileStats::default() };
-                        let result = TileResult { digest, bytes: bytes.len() as u64, stats };
+                        let stats = TileStats {
+                            worker: "w".to_owned(),
+                            ..TileStats::default()
+                        };
+                        let result = TileResult {
+                            digest,
+                            bytes: bytes.len() as u64,
+                            stats,
+                        };
                         match store.commit_tile(JobId(job), TileIndex(tile), result) {
                             Ok(CommitOutcome::Conflict { .. }) => {
-                                return Err(format!("tile {tile} of job {job} conflicts with itself"));
+                                return Err(format!(
+                                    "tile {tile} of job {job} conflicts with itself"
+                                ));
                             }
                             Ok(_) => {
                                 self.outputs.insert((job, tile), bytes);
@@ -190,7 +223,8 @@ impl World {
             }
         };
         Ok(match outcome {
-            Ok(()) | Err(StoreError::Journal(JournalError::NoSpace { .. } | JournalError::Write { .. })) => {
+            Ok(())
+            | Err(StoreError::Journal(JournalError::NoSpace { .. } | JournalError::Write { .. })) => {
                 true
             }
             // The disk's state is unknown: only a restart helps.
@@ -241,5 +275,8 @@ fn store_survives_five_hundred_schedules() {
 #[ignore = "runs as many schedules as SIGHTLINE_SCHEDULES names; scripts/nightly.sh runs it"]
 fn store_survives_many_schedules() {
     let number = |name: &str, default| std::env::var(name).map_or(default, |n| n.parse().unwrap());
-    schedules(number("SIGHTLINE_FIRST", 1 << 32), number("SIGHTLINE_SCHEDULES", 100_000));
+    schedules(
+        number("SIGHTLINE_FIRST", 1 << 32),
+        number("SIGHTLINE_SCHEDULES", 100_000),
+    );
 }

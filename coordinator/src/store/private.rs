@@ -27,7 +27,13 @@ mod tests {
         drop(SledStore::open(&store.join("state")).unwrap());
         drop(FileBlobs::open(&blobs.join("blobs")).unwrap());
         drop(OwnDirectory::take(&own).unwrap());
-        for path in [&store, &store.join("state"), &blobs, &blobs.join("blobs"), &own] {
+        for path in [
+            &store,
+            &store.join("state"),
+            &blobs,
+            &blobs.join("blobs"),
+            &own,
+        ] {
             assert_eq!(mode(path), 0o700, "{}", path.display());
         }
         // A directory that a person has made keeps its mode.

@@ -54,19 +54,28 @@ pub struct NewJob {
 /// The key of a job of an owner, from the digest of scene and parameters: users do not share jobs, so that
 /// nobody learns what others have submitted.
 pub fn owned_key(digest: Digest, owner: &str) -> Digest {
-    owned("sightline 2026-11 key of an owned job", &digest, owner).map_or(digest, |hash| *hash.as_bytes())
+    owned("sightline 2026-11 key of an owned job", &digest, owner)
+        .map_or(digest, |hash| *hash.as_bytes())
 }
 
 /// The request id of an owner's submission: ids of different users are never the same.
 pub fn owned_request(id: &str, owner: &str) -> String {
-    let hash = owned("sightline 2026-11 request of an owner", id.as_bytes(), owner);
-    hash.filter(|_| !id.is_empty()).map_or_else(|| id.to_owned(), |hash| hash.to_hex().to_string())
+    let hash = owned(
+        "sightline 2026-11 request of an owner",
+        id.as_bytes(),
+        owner,
+    );
+    hash.filter(|_| !id.is_empty())
+        .map_or_else(|| id.to_owned(), |hash| hash.to_hex().to_string())
 }
 
 fn owned(context: &str, what: &[u8], owner: &str) -> Option<blake3::Hash> {
     (!owner.is_empty()).then(|| {
         let mut hasher = blake3::Hasher::new_derive_key(context);
-        hasher.update(&(what.len() as u64).to_le_bytes()).update(what).update(owner.as_bytes());
+        hasher
+            .update(&(what.len() as u64).to_le_bytes())
+            .update(what)
+            .update(owner.as_bytes());
         hasher.finalize()
     })
 }
@@ -276,7 +285,13 @@ pub struct NextSpan {
 impl TileRecord {
     /// A tile without a record.
     pub fn open(tile: TileIndex) -> Self {
-        Self { tile, state: TileState::Open, failures: Vec::new(), conflicts: 0, check: None }
+        Self {
+            tile,
+            state: TileState::Open,
+            failures: Vec::new(),
+            conflicts: 0,
+            check: None,
+        }
     }
 }
 
@@ -334,7 +349,9 @@ impl TileStats {
     /// Returns true if a worker with this name or signature may have contributed.
     pub fn may_be_of(&self, name: &str) -> bool {
         let is_meant = |signature: &str| signature == name || worker_name(signature) == name;
-        is_meant(&self.worker) || self.unnamed > 0 || self.helpers.iter().any(|helper| is_meant(helper))
+        is_meant(&self.worker)
+            || self.unnamed > 0
+            || self.helpers.iter().any(|helper| is_meant(helper))
     }
 }
 
@@ -375,17 +392,26 @@ pub enum CommitOutcome {
 }
 
 /// Records of jobs without a priority stay as they were before there were priorities.
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde calls it with a reference"
+)]
 fn is_zero(n: &i32) -> bool {
     *n == 0
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde calls it with a reference"
+)]
 fn is_none(n: &u32) -> bool {
     *n == 0
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde calls it with a reference"
+)]
 fn is_never(at: &u64) -> bool {
     *at == 0
 }
@@ -397,13 +423,20 @@ pub(super) mod hex_digest {
 
     use crate::ids::Digest;
 
-    pub(in crate::store) fn serialize<S: Serializer>(digest: &Digest, to: S) -> Result<S::Ok, S::Error> {
+    pub(in crate::store) fn serialize<S: Serializer>(
+        digest: &Digest,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
         to.serialize_str(blake3::Hash::from_bytes(*digest).to_hex().as_str())
     }
 
-    pub(in crate::store) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Digest, D::Error> {
+    pub(in crate::store) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<Digest, D::Error> {
         let text = String::deserialize(from)?;
-        blake3::Hash::from_hex(&text).map(Into::into).map_err(D::Error::custom)
+        blake3::Hash::from_hex(&text)
+            .map(Into::into)
+            .map_err(D::Error::custom)
     }
 }
 

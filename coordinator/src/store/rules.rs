@@ -11,12 +11,12 @@ use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::limits::{
     MAX_FAILURES, MAX_HELPERS, MAX_IDENTIFIER_BYTES, MAX_NAME_BYTES, MAX_OWNER_BYTES, MAX_OWNERS,
-    MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES, check_identifier,
-    check_length, check_name, clean_reason,
+    MAX_REASONS, MAX_SIGNATURE_BYTES, MAX_SPEC_BYTES, MAX_TILES, MAX_WORKER_BYTES,
+    check_identifier, check_length, check_name, clean_reason,
 };
 use super::records::{
-    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp, SceneRecord,
-    Submitted, TileFailure, TileRecord, TileResult, TileState,
+    CommitOutcome, JobPhase, JobRecord, JobState, NewJob, QuarantineRecord, RetentionStamp,
+    SceneRecord, Submitted, TileFailure, TileRecord, TileResult, TileState,
 };
 use super::table::{Bytes, Changes, Over, Table, View, encode, key};
 use crate::ids::{Digest, JobId, TileIndex};
@@ -35,7 +35,10 @@ pub(super) enum Event {
     /// A tile changed: done, failed once more, set aside, a conflict counted.
     TileChanged { job: JobId, tile: TileRecord },
     /// Tiles were reopened for another try, and the job with them.
-    TilesReopened { job: JobRecord, tiles: Vec<TileIndex> },
+    TilesReopened {
+        job: JobRecord,
+        tiles: Vec<TileIndex>,
+    },
     /// A coordinator started.
     EpochBegun(u64),
     /// A job was removed.
@@ -67,11 +70,17 @@ pub(super) struct Decision<A> {
 pub(super) type Decided<A> = Result<Decision<A>, StoreError>;
 
 pub(super) fn unchanged<A>(answer: A) -> Decided<A> {
-    Ok(Decision { event: None, answer })
+    Ok(Decision {
+        event: None,
+        answer,
+    })
 }
 
 pub(super) fn happened<A>(event: Event, answer: A) -> Decided<A> {
-    Ok(Decision { event: Some(event), answer })
+    Ok(Decision {
+        event: Some(event),
+        answer,
+    })
 }
 
 /// The changes that an event makes to a table.
@@ -92,7 +101,10 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             let key = key::job_of_key(&job.key, job.id);
             let value = encode(&key, &job.id)?;
             put(key, value);
-            put(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &JobId(job.id.0.saturating_add(1)))?);
+            put(
+                key::NEXT_JOB.to_vec(),
+                encode(key::NEXT_JOB, &JobId(job.id.0.saturating_add(1)))?,
+            );
             if !job.request_id.is_empty() {
                 let key = key::request(&job.request_id);
                 let value = encode(&key, &job.id)?;
@@ -128,7 +140,10 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
             put(key, value);
         }
         Event::RetentionStamped(stamp) => {
-            put(key::RETENTION_STAMP.to_vec(), encode(key::RETENTION_STAMP, stamp)?);
+            put(
+                key::RETENTION_STAMP.to_vec(),
+                encode(key::RETENTION_STAMP, stamp)?,
+            );
         }
         Event::SceneDeleted { scene } => {
             changes.insert(key::scene(scene), None);
@@ -165,12 +180,25 @@ pub(super) fn changes(event: &Event, table: &dyn Table) -> Result<Changes, Store
 
 /// Decodes the events of a frame of the journal that ends at `before`.
 pub(super) fn events(payload: &[u8], before: u64) -> Result<Vec<Event>, StoreError> {
-    serde_json::from_slice(payload).map_err(|e| StoreError::Unreadable { before, what: e.to_string() })
+    serde_json::from_slice(payload).map_err(|e| StoreError::Unreadable {
+        before,
+        what: e.to_string(),
+    })
 }
 
 /// Adds the changes of an event, which happens after those in `staged`, to `staged`.
-pub(super) fn stage(event: &Event, table: &dyn Table, staged: &mut Changes) -> Result<(), StoreError> {
-    let new = changes(event, &Over { under: table, changes: staged })?;
+pub(super) fn stage(
+    event: &Event,
+    table: &dyn Table,
+    staged: &mut Changes,
+) -> Result<(), StoreError> {
+    let new = changes(
+        event,
+        &Over {
+            under: table,
+            changes: staged,
+        },
+    )?;
     staged.extend(new);
     Ok(())
 }
@@ -179,42 +207,72 @@ pub(super) fn record_scene(view: View<'_>, scene: SceneRecord) -> Decided<()> {
     match view.scene(&scene.digest)? {
         None => happened(Event::SceneRecorded(scene), ()),
         // Another user has sent it.
-        Some(mut known) if (SceneRecord { owners: scene.owners.clone(), ..known.clone() }) == scene => {
+        Some(mut known)
+            if (SceneRecord {
+                owners: scene.owners.clone(),
+                ..known.clone()
+            }) == scene =>
+        {
             let before = known.owners.len();
             known.owners.extend(scene.owners);
-            check_length("the list of a scene's owners", known.owners.len(), MAX_OWNERS)?;
+            check_length(
+                "the list of a scene's owners",
+                known.owners.len(),
+                MAX_OWNERS,
+            )?;
             if known.owners.len() == before {
                 unchanged(())
             } else {
                 happened(Event::SceneRecorded(known), ())
             }
         }
-        Some(_) => Err(StoreError::SceneDiffers { scene: scene.digest }),
+        Some(_) => Err(StoreError::SceneDiffers {
+            scene: scene.digest,
+        }),
     }
 }
 
 pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
     check_identifier("the request id", &new.request_id, MAX_IDENTIFIER_BYTES)?;
     check_name("the job's name", &new.name, MAX_NAME_BYTES)?;
-    let most = if new.owner.is_empty() { MAX_NAME_BYTES } else { MAX_OWNER_BYTES };
+    let most = if new.owner.is_empty() {
+        MAX_NAME_BYTES
+    } else {
+        MAX_OWNER_BYTES
+    };
     check_name("the user's name", &new.user, most)?;
     check_identifier("the owner's name", &new.owner, MAX_OWNER_BYTES)?;
     check_length("the job's specification", new.spec.len(), MAX_SPEC_BYTES)?;
     check_length("the plan", new.tiles as usize, MAX_TILES as usize)?;
     if let Some(known) = view.job_by_request(&new.request_id)? {
         if known.key != new.key {
-            return Err(StoreError::RequestIdReused { request_id: new.request_id, job: known.id });
+            return Err(StoreError::RequestIdReused {
+                request_id: new.request_id,
+                job: known.id,
+            });
         }
-        return unchanged(Submitted { id: known.id, existing: true });
+        return unchanged(Submitted {
+            id: known.id,
+            existing: true,
+        });
     }
     if let Some(same) = view.job_by_key(&new.key)?
         && !matches!(same.state.phase(), JobPhase::Failed | JobPhase::Cancelled)
     {
-        let answer = Submitted { id: same.id, existing: true };
+        let answer = Submitted {
+            id: same.id,
+            existing: true,
+        };
         if new.request_id.is_empty() {
             return unchanged(answer);
         }
-        return happened(Event::RequestJoined { request_id: new.request_id, job: same.id }, answer);
+        return happened(
+            Event::RequestJoined {
+                request_id: new.request_id,
+                job: same.id,
+            },
+            answer,
+        );
     }
     if view.scene(&new.scene)?.is_none() {
         return Err(StoreError::UnknownScene { scene: new.scene });
@@ -236,7 +294,10 @@ pub(super) fn submit_job(view: View<'_>, new: NewJob) -> Decided<Submitted> {
         finished_at_ms: None,
         reopened_epoch: None,
     };
-    let answer = Submitted { id: job.id, existing: false };
+    let answer = Submitted {
+        id: job.id,
+        existing: false,
+    };
     happened(Event::JobSubmitted(job), answer)
 }
 
@@ -259,7 +320,11 @@ pub(super) fn plan_job(view: View<'_>, job: JobId, tiles: u32) -> Decided<JobRec
         return unchanged(record);
     }
     if record.tiles != 0 {
-        return Err(StoreError::PlanDiffers { job, kept: record.tiles, offered: tiles });
+        return Err(StoreError::PlanDiffers {
+            job,
+            kept: record.tiles,
+            offered: tiles,
+        });
     }
     if record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "planned"));
@@ -284,8 +349,16 @@ pub(super) fn commit_tile(
     tile: TileIndex,
     result: TileResult,
 ) -> Decided<CommitOutcome> {
-    check_identifier("the worker's name", &result.stats.worker, MAX_SIGNATURE_BYTES)?;
-    check_length("the list of helpers", result.stats.helpers.len(), MAX_HELPERS)?;
+    check_identifier(
+        "the worker's name",
+        &result.stats.worker,
+        MAX_SIGNATURE_BYTES,
+    )?;
+    check_length(
+        "the list of helpers",
+        result.stats.helpers.len(),
+        MAX_HELPERS,
+    )?;
     for helper in &result.stats.helpers {
         check_identifier("a helper's name", helper, MAX_SIGNATURE_BYTES)?;
     }
@@ -295,16 +368,30 @@ pub(super) fn commit_tile(
             return unchanged(CommitOutcome::AlreadySame);
         }
         found.conflicts = found.conflicts.saturating_add(1);
-        let answer = CommitOutcome::Conflict { kept, offered: result.digest };
+        let answer = CommitOutcome::Conflict {
+            kept,
+            offered: result.digest,
+        };
         return happened(Event::TileChanged { job, tile: found }, answer);
     }
     if record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "given results"));
     }
-    let TileResult { digest, bytes, stats } = result;
-    found.state = TileState::Done { digest, bytes, stats };
+    let TileResult {
+        digest,
+        bytes,
+        stats,
+    } = result;
+    found.state = TileState::Done {
+        digest,
+        bytes,
+        stats,
+    };
     found.check = None;
-    happened(Event::TileChanged { job, tile: found }, CommitOutcome::Committed)
+    happened(
+        Event::TileChanged { job, tile: found },
+        CommitOutcome::Committed,
+    )
 }
 
 pub(super) fn fail_tile(
@@ -321,8 +408,15 @@ pub(super) fn fail_tile(
     if found.state != TileState::Open || record.state.phase().ended() {
         return unchanged(count(&found));
     }
-    let failure = TileFailure { worker, reason: clean_reason(reason) };
-    match found.failures.iter().position(|known| known.worker == failure.worker) {
+    let failure = TileFailure {
+        worker,
+        reason: clean_reason(reason),
+    };
+    match found
+        .failures
+        .iter()
+        .position(|known| known.worker == failure.worker)
+    {
         Some(at) if found.failures[at] == failure => return unchanged(count(&found)),
         Some(at) => found.failures[at] = failure,
         None if found.failures.len() < MAX_FAILURES => found.failures.push(failure),
@@ -360,7 +454,10 @@ pub(super) fn forget_failure(
     let is_meant = |failure: &TileFailure| failure.worker == worker && failure.reason == reason;
     let known = found.failures.len();
     found.failures.retain(|failure| !is_meant(failure));
-    if found.state != TileState::Open || record.state.phase().ended() || found.failures.len() == known {
+    if found.state != TileState::Open
+        || record.state.phase().ended()
+        || found.failures.len() == known
+    {
         return unchanged(());
     }
     happened(Event::TileChanged { job, tile: found }, ())
@@ -383,8 +480,16 @@ pub(super) fn set_aside_tile(
     if record.state.phase().ended() {
         return Err(illegal(job, record.state.phase(), "given results"));
     }
-    let reasons = reasons.iter().take(MAX_REASONS).map(|reason| clean_reason(reason)).collect();
-    found.state = TileState::SetAside { digest, bytes, reasons };
+    let reasons = reasons
+        .iter()
+        .take(MAX_REASONS)
+        .map(|reason| clean_reason(reason))
+        .collect();
+    found.state = TileState::SetAside {
+        digest,
+        bytes,
+        reasons,
+    };
     happened(Event::TileChanged { job, tile: found }, ())
 }
 
@@ -413,7 +518,9 @@ pub(super) fn set_job_state(
     at_ms: u64,
 ) -> Decided<JobRecord> {
     let to = match to {
-        JobState::Failed { reason } => JobState::Failed { reason: clean_reason(&reason) },
+        JobState::Failed { reason } => JobState::Failed {
+            reason: clean_reason(&reason),
+        },
         other => other,
     };
     let mut record = view.known_job(job)?;
@@ -449,18 +556,30 @@ pub(super) fn finish_job(
     match record.state {
         JobState::Done { result: kept, .. } if kept == result => return unchanged(record),
         JobState::Done { result: kept, .. } => {
-            return Err(StoreError::ResultDiffers { job, kept, offered: result });
+            return Err(StoreError::ResultDiffers {
+                job,
+                kept,
+                offered: result,
+            });
         }
         JobState::Queued | JobState::Running => {}
         JobState::Paused | JobState::Cancelled | JobState::Failed { .. } => {
             return Err(illegal(job, record.state.phase(), "finished"));
         }
     }
-    let ended = view.recorded_tiles(job)?.iter().filter(|tile| tile.state != TileState::Open).count();
+    let ended = view
+        .recorded_tiles(job)?
+        .iter()
+        .filter(|tile| tile.state != TileState::Open)
+        .count();
     // No more tiles are recorded than the job has (`job_and_tile`), whose number is a u32.
     let open = record.tiles.saturating_sub(ended as u32);
     if open > 0 {
-        return Err(StoreError::TilesOpen { job, open, tiles: record.tiles });
+        return Err(StoreError::TilesOpen {
+            job,
+            open,
+            tiles: record.tiles,
+        });
     }
     record.state = JobState::Done { result, bytes };
     record.finished_at_ms = Some(at_ms);
@@ -470,8 +589,10 @@ pub(super) fn finish_job(
 pub(super) fn reopen_tiles(view: View<'_>, job: JobId) -> Decided<u32> {
     let mut record = view.known_job(job)?;
     let recorded = view.recorded_tiles(job)?;
-    let set_aside =
-        recorded.iter().filter(|tile| matches!(tile.state, TileState::SetAside { .. })).count() as u32;
+    let set_aside = recorded
+        .iter()
+        .filter(|tile| matches!(tile.state, TileState::SetAside { .. }))
+        .count() as u32;
     let tiles: Vec<TileIndex> = recorded
         .iter()
         .filter(|tile| !matches!(tile.state, TileState::Done { .. }))

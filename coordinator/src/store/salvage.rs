@@ -83,7 +83,11 @@ impl Damage {
 ///
 /// # Errors
 /// When the disk fails, or another version has written the journal.
-pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> Result<Salvage, StoreError> {
+pub(super) fn read(
+    disk: &dyn Disk,
+    path: &Path,
+    view: Option<ViewEntries>,
+) -> Result<Salvage, StoreError> {
     let disk = &ZeroUnreadable(disk);
     let marks = watermark::read(disk, &watermark::path_of(path))?;
     let seen = view.as_ref().map(|(mark, _)| *mark);
@@ -95,11 +99,23 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
             journal::inspect(disk, path, &marks, seen, visit)?
         }
     };
-    let Inspected { id, mut end, length, acknowledged, mut is_met, damage } = inspected;
+    let Inspected {
+        id,
+        mut end,
+        length,
+        acknowledged,
+        mut is_met,
+        damage,
+    } = inspected;
     let is_marked = length <= HEADER_BYTES || marks.iter().any(|mark| mark.journal == id);
     let Some((offset, what)) = damage else {
         let numbers = View(&entries).numbers()?;
-        return Ok(Salvage { entries, damage: None, is_marked, numbers });
+        return Ok(Salvage {
+            entries,
+            damage: None,
+            is_marked,
+            numbers,
+        });
     };
     let is_acknowledged = |end: Place| acknowledged.is_some_and(|mark| mark.place() == end);
     if let Some((mark, of_view)) = view
@@ -117,7 +133,9 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
             unreadable += begins.offset.saturating_sub(last.max(measured));
             last = next.offset;
             // A frame of another version stays unread, as the loss states.
-            let Ok(events) = rules::events(payload, next.offset) else { return Ok(()) };
+            let Ok(events) = rules::events(payload, next.offset) else {
+                return Ok(());
+            };
             for event in &events {
                 match event {
                     Event::JobSubmitted(job) => submitted = submitted.max(job.id.0),
@@ -141,15 +159,32 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
     // Bytes behind the watermark hold no more submissions than fit.
     let unknown = unreadable / SUBMISSION_BYTES;
     let next_job = own.next_job.max(known.next_job).max(submitted + 1) + unknown;
-    let numbers = Numbers { next_job, epoch: own.epoch.max(known.epoch).max(begun) + unknown };
-    let is_whole =
-        if acknowledged.is_some() { is_met } else { end.offset >= length && length >= HEADER_BYTES };
+    let numbers = Numbers {
+        next_job,
+        epoch: own.epoch.max(known.epoch).max(begun) + unknown,
+    };
+    let is_whole = if acknowledged.is_some() {
+        is_met
+    } else {
+        end.offset >= length && length >= HEADER_BYTES
+    };
     let is_loss = !is_whole || end.offset < last;
     let lost = (JobId(own.next_job), JobId(next_job - 1));
     let lost_jobs = Some(lost).filter(|(first, last)| is_loss && first <= last);
     let is_unmeasured = acknowledged.is_none();
-    let damage = Some(Damage { offset, what, lost_jobs, is_loss, is_unmeasured });
-    Ok(Salvage { entries, damage, is_marked, numbers })
+    let damage = Some(Damage {
+        offset,
+        what,
+        lost_jobs,
+        is_loss,
+        is_unmeasured,
+    });
+    Ok(Salvage {
+        entries,
+        damage,
+        is_marked,
+        numbers,
+    })
 }
 
 /// Writes a new journal of the salvaged entries in the place of the damaged one, of which a copy stays.
@@ -157,16 +192,30 @@ pub(super) fn read(disk: &dyn Disk, path: &Path, view: Option<ViewEntries>) -> R
 ///
 /// # Errors
 /// When the disk fails. A crash or an error leaves the damaged journal in its place, or the new one.
-pub(super) fn replace(disk: &dyn Disk, path: &Path, salvage: Salvage) -> Result<Option<PathBuf>, StoreError> {
-    let Salvage { mut entries, numbers, .. } = salvage;
+pub(super) fn replace(
+    disk: &dyn Disk,
+    path: &Path,
+    salvage: Salvage,
+) -> Result<Option<PathBuf>, StoreError> {
+    let Salvage {
+        mut entries,
+        numbers,
+        ..
+    } = salvage;
     let copy = match disk.attributes(path).map_err(fault("look for", path))? {
         None => None,
         Some(found) => Some(keep(disk, path, found.length)?),
     };
     let Numbers { next_job, epoch } = numbers;
-    entries.insert(key::NEXT_JOB.to_vec(), encode(key::NEXT_JOB, &JobId(next_job))?);
+    entries.insert(
+        key::NEXT_JOB.to_vec(),
+        encode(key::NEXT_JOB, &JobId(next_job))?,
+    );
     entries.insert(key::EPOCH.to_vec(), encode(key::EPOCH, &epoch)?);
-    let entries: Vec<Entry> = entries.into_iter().map(|(key, value)| Entry { key, value }).collect();
+    let entries: Vec<Entry> = entries
+        .into_iter()
+        .map(|(key, value)| Entry { key, value })
+        .collect();
     compaction::replace(disk, path, &entries, numbers)?;
     Ok(copy)
 }
@@ -176,10 +225,15 @@ pub(super) fn replace(disk: &dyn Disk, path: &Path, salvage: Salvage) -> Result<
 fn keep(disk: &dyn Disk, path: &Path, length: u64) -> Result<PathBuf, StoreError> {
     let state = path.parent().unwrap_or(path);
     let folder = state.join("damaged");
-    disk.create_folder(&folder).map_err(fault("create", &folder))?;
+    disk.create_folder(&folder)
+        .map_err(fault("create", &folder))?;
     let mut number = disk.list(&folder).map_err(fault("list", &folder))?.len() + 1;
     let mut to = folder.join(format!("journal-{number}"));
-    while disk.attributes(&to).map_err(fault("look for", &to))?.is_some() {
+    while disk
+        .attributes(&to)
+        .map_err(fault("look for", &to))?
+        .is_some()
+    {
         number += 1;
         to = folder.join(format!("journal-{number}"));
     }
@@ -187,15 +241,21 @@ fn keep(disk: &dyn Disk, path: &Path, length: u64) -> Result<PathBuf, StoreError
         disk.sync_folder(&folder).map_err(fault("sync", &folder))?;
     } else {
         // Some file systems have no links.
-        let bytes = disk::read_up_to(&ZeroUnreadable(disk), path, length).map_err(fault("read", path))?;
-        disk::replace(disk, &to, &folder.join("unfinished"), &bytes).map_err(fault("write", &to))?;
+        let bytes =
+            disk::read_up_to(&ZeroUnreadable(disk), path, length).map_err(fault("read", path))?;
+        disk::replace(disk, &to, &folder.join("unfinished"), &bytes)
+            .map_err(fault("write", &to))?;
     }
     disk.sync_folder(state).map_err(fault("sync", state))?;
     Ok(to)
 }
 
 /// Applies the events of a frame to the entries.
-fn apply(payload: &[u8], end: Place, entries: &mut BTreeMap<Bytes, Bytes>) -> Result<(), StoreError> {
+fn apply(
+    payload: &[u8],
+    end: Place,
+    entries: &mut BTreeMap<Bytes, Bytes>,
+) -> Result<(), StoreError> {
     let mut changes = Changes::new();
     for event in rules::events(payload, end.offset)? {
         rules::stage(&event, entries, &mut changes)?;

@@ -57,7 +57,13 @@ fn job(n: u64) -> NewJob {
 }
 
 fn scene() -> SceneRecord {
-    SceneRecord { digest: [7; 32], bytes: 1, triangles: 1, objects: 1, owners: Default::default() }
+    SceneRecord {
+        digest: [7; 32],
+        bytes: 1,
+        triangles: 1,
+        objects: 1,
+        owners: Default::default(),
+    }
 }
 
 /// The files of a store of 20 acknowledged jobs, and its view.
@@ -73,12 +79,20 @@ fn acknowledged() -> Acknowledged {
     store.begin_epoch().unwrap();
     store.record_scene(scene()).unwrap();
     (1..=JOBS).for_each(|n| assert_eq!(store.submit_job(job(n)).unwrap().id, JobId(n)));
-    let entries: BTreeMap<Bytes, Bytes> = store.query(|view| view.0.scan(&[])).unwrap().into_iter().collect();
+    let entries: BTreeMap<Bytes, Bytes> = store
+        .query(|view| view.0.scan(&[]))
+        .unwrap()
+        .into_iter()
+        .collect();
     drop(store);
     let read = |path: &Path| read_up_to(&disk, path, u64::MAX).unwrap();
     let mark_path = watermark::path_of(&path());
     let mark = watermark::read(&disk, &mark_path).unwrap()[0];
-    Acknowledged { journal: read(&path()), mark: read(&mark_path), view: (mark, entries) }
+    Acknowledged {
+        journal: read(&path()),
+        mark: read(&mark_path),
+        view: (mark, entries),
+    }
 }
 
 /// Creates a disk with these files.
@@ -86,13 +100,21 @@ fn disk_of(journal: &[u8], mark: &[u8]) -> SimulatedDisk {
     let disk = SimulatedDisk::new(0);
     disk::create_folder(&disk, Path::new(FOLDER)).unwrap();
     for (path, bytes) in [(path(), journal), (watermark::path_of(&path()), mark)] {
-        disk.open(&path, Access::Create).unwrap().write_all(bytes).unwrap();
+        disk.open(&path, Access::Create)
+            .unwrap()
+            .write_all(bytes)
+            .unwrap();
     }
     disk
 }
 
 fn jobs(entries: &BTreeMap<Bytes, Bytes>) -> BTreeSet<u64> {
-    View(entries).jobs().unwrap().iter().map(|job| job.id.0).collect()
+    View(entries)
+        .jobs()
+        .unwrap()
+        .iter()
+        .map(|job| job.id.0)
+        .collect()
 }
 
 /// Checks the error, the loss and the repair of one damaged journal.
@@ -107,38 +129,64 @@ fn check(files: &Acknowledged, harm: Harm, at: usize) {
         Err(other) => panic!("{harm:?} at {at}: {other}"),
         Ok(_) => panic!("{harm:?} at {at} went unseen"),
     }
-    assert_eq!(read_up_to(&disk, &path(), u64::MAX).unwrap(), harmed, "{harm:?} at {at} changed the file");
+    assert_eq!(
+        read_up_to(&disk, &path(), u64::MAX).unwrap(),
+        harmed,
+        "{harm:?} at {at} changed the file"
+    );
     // With the view nothing is lost.
     let whole = read(&disk, &path(), Some(files.view.clone())).unwrap();
     let damage = whole.damage.as_ref().unwrap();
-    assert!(!damage.is_loss && damage.lost_jobs.is_none(), "{harm:?} at {at}: {damage:?}");
+    assert!(
+        !damage.is_loss && damage.lost_jobs.is_none(),
+        "{harm:?} at {at}: {damage:?}"
+    );
     assert_eq!(whole.entries, files.view.1, "{harm:?} at {at}");
     // Without it the jobs that are gone are named.
     let part = read(&disk, &path(), None).unwrap();
     let damage = part.damage.clone().unwrap();
     let present = jobs(&part.entries);
-    let lost: BTreeSet<u64> = damage.lost_jobs.map_or(BTreeSet::new(), |(a, b)| (a.0..=b.0).collect());
+    let lost: BTreeSet<u64> = damage
+        .lost_jobs
+        .map_or(BTreeSet::new(), |(a, b)| (a.0..=b.0).collect());
     assert!(present.is_disjoint(&lost), "{harm:?} at {at}");
     assert_eq!(
         present.union(&lost).copied().collect::<BTreeSet<_>>(),
         (1..=JOBS).collect(),
         "{harm:?} at {at}"
     );
-    assert_eq!(damage.is_loss, part.entries != files.view.1, "{harm:?} at {at}");
+    assert_eq!(
+        damage.is_loss,
+        part.entries != files.view.1,
+        "{harm:?} at {at}"
+    );
     // A repair keeps the damaged bytes, and continues behind every number.
     let copy = replace(&disk, &path(), part).unwrap().unwrap();
     assert_eq!(read_up_to(&disk, &copy, u64::MAX).unwrap(), harmed);
     let store = SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap();
-    assert_eq!(store.jobs().unwrap().iter().map(|job| job.id.0).collect::<BTreeSet<_>>(), present);
+    assert_eq!(
+        store
+            .jobs()
+            .unwrap()
+            .iter()
+            .map(|job| job.id.0)
+            .collect::<BTreeSet<_>>(),
+        present
+    );
     store.record_scene(scene()).unwrap();
-    assert!(store.submit_job(job(99)).unwrap().id.0 > JOBS, "{harm:?} at {at} gave a number out again");
+    assert!(
+        store.submit_job(job(99)).unwrap().id.0 > JOBS,
+        "{harm:?} at {at} gave a number out again"
+    );
     assert!(store.begin_epoch().unwrap() > 1);
 }
 
 fn check_each(stride: usize) {
     let files = acknowledged();
     for at in (0..files.journal.len()).step_by(stride) {
-        [Harm::Flip, Harm::Cut, Harm::Zeroes].into_iter().for_each(|harm| check(&files, harm, at));
+        [Harm::Flip, Harm::Cut, Harm::Zeroes]
+            .into_iter()
+            .for_each(|harm| check(&files, harm, at));
     }
 }
 
@@ -164,11 +212,19 @@ fn repair_uses_readable_frames_beside_bad_sector() {
         };
         assert!(disk::is_unreadable(&source), "{source}");
         let whole = read(&disk, &path(), Some(files.view.clone())).unwrap();
-        assert!(!whole.damage.unwrap().is_loss && whole.entries == files.view.1, "sector at {at}");
+        assert!(
+            !whole.damage.unwrap().is_loss && whole.entries == files.view.1,
+            "sector at {at}"
+        );
         let part = read(&disk, &path(), None).unwrap();
         let (present, damage) = (jobs(&part.entries), part.damage.clone().unwrap());
-        let lost = damage.lost_jobs.map_or(BTreeSet::new(), |(a, b)| (a.0..=b.0).collect());
-        assert!(!lost.is_empty() && present.len() + lost.len() == JOBS as usize, "sector at {at}");
+        let lost = damage
+            .lost_jobs
+            .map_or(BTreeSet::new(), |(a, b)| (a.0..=b.0).collect());
+        assert!(
+            !lost.is_empty() && present.len() + lost.len() == JOBS as usize,
+            "sector at {at}"
+        );
         replace(&disk, &path(), part).unwrap().unwrap();
         let store = SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap();
         assert_eq!(jobs_of(&store), present, "sector at {at}");
@@ -186,19 +242,32 @@ fn unreadable_slot_of_watermark_counts_as_damaged() {
     if part.damage.is_some() {
         replace(&disk, &path(), part).unwrap();
     }
-    assert_eq!(jobs_of(&SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap()).len(), JOBS as usize);
+    assert_eq!(
+        jobs_of(&SledStore::open_on(Arc::new(disk), Path::new(FOLDER)).unwrap()).len(),
+        JOBS as usize
+    );
 }
 
 #[test]
 fn lost_watermark_is_noticed() {
     let files = acknowledged();
     let disk = disk_of(&files.journal, &files.mark);
-    assert!(read(&disk, &path(), Some(files.view.clone())).unwrap().is_marked);
+    assert!(
+        read(&disk, &path(), Some(files.view.clone()))
+            .unwrap()
+            .is_marked
+    );
     let without = disk_of(&files.journal, &[]);
     let salvage = read(&without, &path(), Some(files.view.clone())).unwrap();
     assert!(salvage.damage.is_none() && !salvage.is_marked);
     // Without the view, too, nothing tells how long the journal was.
-    assert!(read(&without, &path(), None).unwrap().damage.unwrap().is_unmeasured);
+    assert!(
+        read(&without, &path(), None)
+            .unwrap()
+            .damage
+            .unwrap()
+            .is_unmeasured
+    );
 }
 
 fn jobs_of(store: &SledStore) -> BTreeSet<u64> {
@@ -227,7 +296,10 @@ fn missing_journal_is_damage_only_if_frames_were_acknowledged() {
     let disk = disk_of(&files.journal, &files.mark);
     disk.remove(&path()).unwrap();
     let part = read(&disk, &path(), Some(files.view.clone())).unwrap();
-    assert_eq!((part.entries, part.damage.unwrap().is_loss), (files.view.1.clone(), false));
+    assert_eq!(
+        (part.entries, part.damage.unwrap().is_loss),
+        (files.view.1.clone(), false)
+    );
     let nothing = read(&disk, &path(), None).unwrap();
     let lost = nothing.damage.as_ref().unwrap().lost_jobs;
     assert_eq!(lost, Some((JobId(1), JobId(JOBS))));
@@ -248,7 +320,10 @@ fn interrupted_repair_can_be_repeated() {
     for seed in 0..60 {
         let disk = SimulatedDisk::new(seed);
         disk::create_folder(&disk, Path::new(FOLDER)).unwrap();
-        for (path, bytes) in [(path(), &harmed), (watermark::path_of(&path()), &files.mark)] {
+        for (path, bytes) in [
+            (path(), &harmed),
+            (watermark::path_of(&path()), &files.mark),
+        ] {
             disk::replace(&disk, &path, &path.with_extension("beside"), bytes).unwrap();
         }
         // Some operation of the repair meets a full disk, and then the power fails.

@@ -67,25 +67,46 @@ impl SledStore {
             return Err(JournalError::Missing { path }.into());
         }
         // A new store has its journal first: a view without one stands for lost data.
-        let existing = path.exists().then(|| Live::open(&view, Arc::clone(&disk), &path));
+        let existing = path
+            .exists()
+            .then(|| Live::open(&view, Arc::clone(&disk), &path));
         let seen = match &existing {
             Some(Ok(live)) => live.watermark()?,
             Some(Err(_)) | None => None,
         };
         let journal = match Journal::open(&*disk, &path, seen) {
-            Err(JournalError::Damaged { path, offset, what, .. }) => {
-                let of_view = existing.and_then(Result::ok).map(|live| live.entries()).transpose()?.flatten();
+            Err(JournalError::Damaged {
+                path, offset, what, ..
+            }) => {
+                let of_view = existing
+                    .and_then(Result::ok)
+                    .map(|live| live.entries())
+                    .transpose()?
+                    .flatten();
                 let damage = salvage::read(&*disk, &path, of_view)?.damage;
                 let lost = damage.map_or_else(String::new, |damage| damage.loss());
-                return Err(JournalError::Damaged { path, offset, what, lost }.into());
+                return Err(JournalError::Damaged {
+                    path,
+                    offset,
+                    what,
+                    lost,
+                }
+                .into());
             }
-            Err(JournalError::Io { doing: "read", path, source }) if disk::is_unreadable(&source) => {
+            Err(JournalError::Io {
+                doing: "read",
+                path,
+                source,
+            }) if disk::is_unreadable(&source) => {
                 return Err(JournalError::Unreadable { path, source }.into());
             }
             other => other?,
         };
         let fresh = || Live::open(&view, Arc::clone(&disk), &path);
-        let live = match existing.unwrap_or_else(fresh).and_then(|live| live.caught_up(&journal)) {
+        let live = match existing
+            .unwrap_or_else(fresh)
+            .and_then(|live| live.caught_up(&journal))
+        {
             Ok(live) => live,
             Err(StoreError::View { what }) => {
                 let aside = move_aside(&view)?;
@@ -122,12 +143,26 @@ impl SledStore {
         let (commands, incoming) = channel();
         let told = Arc::<Told>::default();
         let (writer_view, writer_told) = (Arc::clone(&live), Arc::clone(&told));
-        let writer = Writer { journal, idle, since_sync: 0, live: writer_view, told: writer_told };
+        let writer = Writer {
+            journal,
+            idle,
+            since_sync: 0,
+            live: writer_view,
+            told: writer_told,
+        };
         let writer = std::thread::Builder::new()
             .name("store-writer".to_owned())
             .spawn(move || writer.run(&incoming))
-            .map_err(|e| StoreError::Thread { what: e.to_string() })?;
-        Ok(Self { live, commands: Mutex::new(Some(commands)), writer: Some(writer), told, lock })
+            .map_err(|e| StoreError::Thread {
+                what: e.to_string(),
+            })?;
+        Ok(Self {
+            live,
+            commands: Mutex::new(Some(commands)),
+            writer: Some(writer),
+            told,
+            lock,
+        })
     }
 }
 
@@ -135,12 +170,18 @@ impl SledStore {
 impl SledStore {
     /// Does what a refused change does: the view goes on in memory.
     pub(super) fn refuse_changes(&self) {
-        self.live.write().unwrap_or_else(PoisonError::into_inner).refuse_changes();
+        self.live
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .refuse_changes();
     }
 
     /// Does what sled does on a full disk.
     pub(super) fn get_stuck(&self) {
-        self.live.write().unwrap_or_else(PoisonError::into_inner).get_stuck();
+        self.live
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get_stuck();
     }
 }
 
@@ -165,7 +206,9 @@ impl SledStore {
         }
         let store = Self::open(directory)?;
         let (entries, numbers) = (store.entries()?, store.numbers()?);
-        let from = std::fs::metadata(&path).map_err(fault("measure", &path))?.len();
+        let from = std::fs::metadata(&path)
+            .map_err(fault("measure", &path))?
+            .len();
         // The lock stays; the view and the writer go.
         let lock = store.lock.as_ref().map(File::try_clone).transpose();
         let lock = lock.map_err(fault("keep the lock of", directory))?;
@@ -200,8 +243,17 @@ impl SledStore {
             }
         };
         drop(lock);
-        let salvage::Salvage { entries, damage, is_marked, .. } = salvage;
-        Ok(StoreInspection { store: MemoryStore::with(entries), damage, is_marked })
+        let salvage::Salvage {
+            entries,
+            damage,
+            is_marked,
+            ..
+        } = salvage;
+        Ok(StoreInspection {
+            store: MemoryStore::with(entries),
+            damage,
+            is_marked,
+        })
     }
 
     /// Repairs the journal of the store in `directory`, if acknowledged frames of it are damaged.
@@ -214,7 +266,9 @@ impl SledStore {
         let (path, view) = (directory.join("journal"), directory.join("sled"));
         let of_view = view_of_copy(&view, &path)?;
         let salvage = salvage::read(&*disk, &path, of_view)?;
-        let Some(damage) = salvage.damage.clone() else { return Ok(None) };
+        let Some(damage) = salvage.damage.clone() else {
+            return Ok(None);
+        };
         let damaged = salvage::replace(&*disk, &path, salvage)?;
         remove_view(&view)?;
         Ok(Some(Repaired { damage, damaged }))
@@ -303,26 +357,44 @@ pub(super) fn remove_view(view: &Path) -> Result<(), StoreError> {
 
 impl Drop for SledStore {
     fn drop(&mut self) {
-        self.commands.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+        self.commands
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        if self
+            .writer
+            .take()
+            .is_some_and(|writer| writer.join().is_err())
+        {
             tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
         }
-        self.live.write().unwrap_or_else(PoisonError::into_inner).flush();
+        self.live
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .flush();
     }
 }
 
 impl Engine for SledStore {
     fn writable(&self) -> Result<(), StoreError> {
-        self.told.trouble.get().map_or(Ok(()), |e| Err(e.clone().into()))
+        self.told
+            .trouble
+            .get()
+            .map_or(Ok(()), |e| Err(e.clone().into()))
     }
 
     fn report_syncs(&self, to: Report) {
         drop(self.told.syncs.set(to));
     }
 
-    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
+    fn query<A>(
+        &self,
+        ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
+    ) -> Result<A, StoreError> {
         // Only whole group commits are applied under this lock, so every answer belongs to one state.
-        ask(View(&*self.live.read().unwrap_or_else(PoisonError::into_inner)))
+        ask(View(
+            &*self.live.read().unwrap_or_else(PoisonError::into_inner),
+        ))
     }
 
     fn command<A: Send + 'static>(
@@ -330,8 +402,15 @@ impl Engine for SledStore {
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
     ) -> Result<A, StoreError> {
         let (command, answer) = pending(decide);
-        let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
+        let commands = self
+            .commands
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
+        commands
+            .ok_or(StoreError::Closed)?
+            .send(command)
+            .map_err(|_| StoreError::Closed)?;
         answer.recv().map_err(|_| StoreError::Closed)?
     }
 }
@@ -346,7 +425,9 @@ struct Told {
 
 impl std::fmt::Debug for Told {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Told").field("trouble", &self.trouble).finish_non_exhaustive()
+        f.debug_struct("Told")
+            .field("trouble", &self.trouble)
+            .finish_non_exhaustive()
     }
 }
 
@@ -380,7 +461,11 @@ impl Writer {
                     Err(error) => command.refuse(error),
                 }
                 group.push(command);
-                next = if payload.len() < GROUP_BYTES { incoming.try_recv().ok() } else { None };
+                next = if payload.len() < GROUP_BYTES {
+                    incoming.try_recv().ok()
+                } else {
+                    None
+                };
             }
             // A command that changed nothing waits, too: its answer may depend on changes of other commands
             // in the group.
@@ -423,12 +508,21 @@ impl Writer {
     }
 
     /// One command's event as it goes to the journal, its changes added to `staged`.
-    fn stage(&self, command: &mut dyn Pending, staged: &mut Changes) -> Result<Option<Bytes>, StoreError> {
+    fn stage(
+        &self,
+        command: &mut dyn Pending,
+        staged: &mut Changes,
+    ) -> Result<Option<Bytes>, StoreError> {
         let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
-        let Some(event) = command.decide(View(&Over { under: &*live, changes: staged })) else {
+        let Some(event) = command.decide(View(&Over {
+            under: &*live,
+            changes: staged,
+        })) else {
             return Ok(None);
         };
-        let bytes = serde_json::to_vec(&event).map_err(|e| StoreError::View { what: e.to_string() })?;
+        let bytes = serde_json::to_vec(&event).map_err(|e| StoreError::View {
+            what: e.to_string(),
+        })?;
         rules::stage(&event, &*live, staged)?;
         Ok(Some(bytes))
     }
@@ -437,7 +531,11 @@ impl Writer {
         let begun = Instant::now();
         let numbers = {
             let live = self.live.read().unwrap_or_else(PoisonError::into_inner);
-            View(&Over { under: &*live, changes: &staged }).numbers()?
+            View(&Over {
+                under: &*live,
+                changes: &staged,
+            })
+            .numbers()?
         };
         let end = self.journal.append(payload, numbers).inspect_err(|e| {
             if matches!(e, JournalError::Unusable { .. }) {
@@ -449,7 +547,10 @@ impl Writer {
             tell(begun.elapsed());
         }
         self.since_sync += 1;
-        self.live.write().unwrap_or_else(PoisonError::into_inner).take(staged, end);
+        self.live
+            .write()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take(staged, end);
         Ok(())
     }
 }

@@ -62,8 +62,10 @@ impl Table for Over<'_> {
 
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
         let mut entries: BTreeMap<Bytes, Bytes> = self.under.scan(prefix)?.into_iter().collect();
-        for (key, value) in
-            self.changes.range(prefix.to_vec()..).take_while(|(key, _)| key.starts_with(prefix))
+        for (key, value) in self
+            .changes
+            .range(prefix.to_vec()..)
+            .take_while(|(key, _)| key.starts_with(prefix))
         {
             match value {
                 Some(value) => entries.insert(key.clone(), value.clone()),
@@ -126,7 +128,9 @@ fn checksum(key: &[u8], body: &[u8]) -> u32 {
 
 /// A record as the value under `key`.
 pub(super) fn encode<T: Serialize>(key: &[u8], record: &T) -> Result<Bytes, StoreError> {
-    let body = serde_json::to_vec(record).map_err(|e| StoreError::View { what: e.to_string() })?;
+    let body = serde_json::to_vec(record).map_err(|e| StoreError::View {
+        what: e.to_string(),
+    })?;
     check_length("the record", VALUE_HEADER + body.len(), MAX_VALUE_BYTES)?;
     let mut value = vec![VALUE_VERSION];
     value.extend(checksum(key, &body).to_le_bytes());
@@ -136,10 +140,13 @@ pub(super) fn encode<T: Serialize>(key: &[u8], record: &T) -> Result<Bytes, Stor
 
 /// The JSON under `key`, its version and checksum checked.
 pub(super) fn check<'a>(key: &[u8], value: &'a [u8]) -> Result<&'a [u8], StoreError> {
-    let damaged =
-        |what: &str| StoreError::View { what: format!("the value under {}: {what}", key.escape_ascii()) };
+    let damaged = |what: &str| StoreError::View {
+        what: format!("the value under {}: {what}", key.escape_ascii()),
+    };
     let (&version, rest) = value.split_first().ok_or_else(|| damaged("empty"))?;
-    let (crc, body) = rest.split_first_chunk::<4>().ok_or_else(|| damaged("too short"))?;
+    let (crc, body) = rest
+        .split_first_chunk::<4>()
+        .ok_or_else(|| damaged("too short"))?;
     if version != VALUE_VERSION {
         return Err(damaged("of another version"));
     }
@@ -151,8 +158,9 @@ pub(super) fn check<'a>(key: &[u8], value: &'a [u8]) -> Result<&'a [u8], StoreEr
 
 /// The record under `key`, its version and checksum checked.
 pub(super) fn decode<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, StoreError> {
-    serde_json::from_slice(check(key, value)?)
-        .map_err(|e| StoreError::View { what: format!("the value under {}: {e}", key.escape_ascii()) })
+    serde_json::from_slice(check(key, value)?).map_err(|e| StoreError::View {
+        what: format!("the value under {}: {e}", key.escape_ascii()),
+    })
 }
 
 /// Typed reading of a table.
@@ -161,11 +169,18 @@ pub(super) struct View<'a>(pub(super) &'a dyn Table);
 
 impl View<'_> {
     fn one<T: DeserializeOwned>(self, key: &[u8]) -> Result<Option<T>, StoreError> {
-        self.0.get(key)?.map(|value| decode(key, &value)).transpose()
+        self.0
+            .get(key)?
+            .map(|value| decode(key, &value))
+            .transpose()
     }
 
     fn all<T: DeserializeOwned>(self, prefix: &[u8]) -> Result<Vec<T>, StoreError> {
-        self.0.scan(prefix)?.iter().map(|(key, value)| decode(key, value)).collect()
+        self.0
+            .scan(prefix)?
+            .iter()
+            .map(|(key, value)| decode(key, value))
+            .collect()
     }
 
     /// Whether there are neither scenes nor jobs.
@@ -218,7 +233,10 @@ impl View<'_> {
 
     pub(super) fn job_by_key(self, digest: &Digest) -> Result<Option<JobRecord>, StoreError> {
         let ids: Vec<JobId> = self.all(&key::jobs_of_key(digest))?;
-        ids.into_iter().max().map(|id| self.known_job(id)).transpose()
+        ids.into_iter()
+            .max()
+            .map(|id| self.known_job(id))
+            .transpose()
     }
 
     pub(super) fn job_by_request(self, request_id: &str) -> Result<Option<JobRecord>, StoreError> {
@@ -247,7 +265,9 @@ impl View<'_> {
 
     pub(super) fn tiles(self, job: JobId) -> Result<Vec<TileRecord>, StoreError> {
         let tiles = self.known_job(job)?.tiles;
-        let mut all: Vec<TileRecord> = (0..tiles).map(|tile| TileRecord::open(TileIndex(tile))).collect();
+        let mut all: Vec<TileRecord> = (0..tiles)
+            .map(|tile| TileRecord::open(TileIndex(tile)))
+            .collect();
         for record in self.recorded_tiles(job)? {
             if let Some(slot) = all.get_mut(record.tile.at()) {
                 *slot = record;
@@ -264,9 +284,15 @@ impl View<'_> {
     ) -> Result<(JobRecord, TileRecord), StoreError> {
         let record = self.known_job(job)?;
         if tile.0 >= record.tiles {
-            return Err(StoreError::UnknownTile { job, tile, tiles: record.tiles });
+            return Err(StoreError::UnknownTile {
+                job,
+                tile,
+                tiles: record.tiles,
+            });
         }
-        let found = self.one(&key::tile(job, tile))?.unwrap_or_else(|| TileRecord::open(tile));
+        let found = self
+            .one(&key::tile(job, tile))?
+            .unwrap_or_else(|| TileRecord::open(tile));
         Ok((record, found))
     }
 
@@ -292,7 +318,10 @@ impl View<'_> {
 
     /// Returns the numbers that the store has given out.
     pub(super) fn numbers(self) -> Result<Numbers, StoreError> {
-        Ok(Numbers { next_job: self.next_job()?.0, epoch: self.epoch()? })
+        Ok(Numbers {
+            next_job: self.next_job()?.0,
+            epoch: self.epoch()?,
+        })
     }
 
     pub(super) fn next_job(self) -> Result<JobId, StoreError> {

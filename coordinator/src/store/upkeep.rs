@@ -6,7 +6,9 @@ use super::entries::Entry;
 use super::error::StoreError;
 use super::identity::StoreIdentity;
 use super::limits::{MAX_SIGNATURE_BYTES, check_identifier, clean_reason};
-use super::records::{JobPhase, JobState, QuarantineRecord, SceneRecord, TileCheck, TileRecord, TileState};
+use super::records::{
+    JobPhase, JobState, QuarantineRecord, SceneRecord, TileCheck, TileRecord, TileState,
+};
 use super::rules::{Decided, Event, happened, unchanged};
 use super::table::View;
 use crate::ids::{Digest, JobId, TileIndex};
@@ -22,7 +24,9 @@ pub(super) fn confirm_tile(
     check_identifier("the worker's name", &check.worker, MAX_SIGNATURE_BYTES)?;
     let (_, mut found) = view.job_and_tile(job, tile)?;
     match &found.state {
-        TileState::Done { digest: kept, .. } if *kept == digest && found.check.as_ref() != Some(&check) => {
+        TileState::Done { digest: kept, .. }
+            if *kept == digest && found.check.as_ref() != Some(&check) =>
+        {
             found.check = Some(check);
             happened(Event::TileChanged { job, tile: found }, ())
         }
@@ -39,12 +43,21 @@ pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) 
     let mut record = view.known_job(job)?;
     let is_done = record.state.phase() == JobPhase::Done;
     if let Some(tile) = tiles.iter().find(|tile| tile.0 >= record.tiles) {
-        return Err(StoreError::UnknownTile { job, tile: *tile, tiles: record.tiles });
+        return Err(StoreError::UnknownTile {
+            job,
+            tile: *tile,
+            tiles: record.tiles,
+        });
     }
-    let meant =
-        |tile: &TileRecord| !matches!(tile.state, TileState::Open) && (is_done || tiles.contains(&tile.tile));
+    let meant = |tile: &TileRecord| {
+        !matches!(tile.state, TileState::Open) && (is_done || tiles.contains(&tile.tile))
+    };
     let recorded = view.recorded_tiles(job)?;
-    let opened: Vec<TileIndex> = recorded.iter().filter(|tile| meant(tile)).map(|tile| tile.tile).collect();
+    let opened: Vec<TileIndex> = recorded
+        .iter()
+        .filter(|tile| meant(tile))
+        .map(|tile| tile.tile)
+        .collect();
     if opened.is_empty() || tiles.is_empty() {
         return unchanged(0);
     }
@@ -55,12 +68,20 @@ pub(super) fn invalidate_tiles(view: View<'_>, job: JobId, tiles: &[TileIndex]) 
     record.reopened_epoch = Some(view.epoch()?);
     // No more than the job has tiles.
     let count = opened.len() as u32;
-    happened(Event::TilesReopened { job: record, tiles: opened }, count)
+    happened(
+        Event::TilesReopened {
+            job: record,
+            tiles: opened,
+        },
+        count,
+    )
 }
 
 /// Removes a scene that no job names.
 pub(super) fn delete_scene(view: View<'_>, scene: Digest) -> Decided<SceneRecord> {
-    let record = view.scene(&scene)?.ok_or(StoreError::UnknownScene { scene })?;
+    let record = view
+        .scene(&scene)?
+        .ok_or(StoreError::UnknownScene { scene })?;
     if let Some(job) = view.jobs()?.iter().find(|job| job.scene == scene) {
         return Err(StoreError::SceneInUse { scene, job: job.id });
     }
@@ -91,7 +112,13 @@ pub(super) fn quarantine(view: View<'_>, record: QuarantineRecord) -> Decided<()
     if view.is_quarantined(&record.worker)? {
         return unchanged(());
     }
-    happened(Event::Quarantined(QuarantineRecord { reason: clean_reason(&record.reason), ..record }), ())
+    happened(
+        Event::Quarantined(QuarantineRecord {
+            reason: clean_reason(&record.reason),
+            ..record
+        }),
+        (),
+    )
 }
 
 /// Records that a worker gets tiles again; returns whether it had none.

@@ -46,18 +46,36 @@ pub(super) struct Watermark {
 impl Watermark {
     /// Returns the end of the acknowledged part.
     pub(super) fn place(&self) -> Place {
-        Place { offset: self.length, chain: self.chain }
+        Place {
+            offset: self.length,
+            chain: self.chain,
+        }
     }
 
     /// Returns the numbers that the store had given out.
     pub(super) fn numbers(&self) -> Numbers {
-        Numbers { next_job: self.next_job, epoch: self.epoch }
+        Numbers {
+            next_job: self.next_job,
+            epoch: self.epoch,
+        }
     }
 
     /// Creates the watermark of a journal that is acknowledged up to `end`.
     pub(super) fn new(journal: u64, end: Place, numbers: Numbers) -> Self {
-        let (Place { offset: length, chain }, Numbers { next_job, epoch }) = (end, numbers);
-        Self { journal, length, chain, next_job, epoch }
+        let (
+            Place {
+                offset: length,
+                chain,
+            },
+            Numbers { next_job, epoch },
+        ) = (end, numbers);
+        Self {
+            journal,
+            length,
+            chain,
+            next_job,
+            epoch,
+        }
     }
 }
 
@@ -80,7 +98,11 @@ pub(super) fn path_of(journal: &Path) -> PathBuf {
 /// cannot be read counts as damaged.
 pub(super) fn read(disk: &dyn Disk, path: &Path) -> Result<Vec<Watermark>, JournalError> {
     match disk::read_up_to(&ZeroUnreadable(disk), path, 2 * SLOT_BYTES) {
-        Ok(bytes) => Ok(slots(&bytes).into_iter().rev().map(|(_, mark)| mark).collect()),
+        Ok(bytes) => Ok(slots(&bytes)
+            .into_iter()
+            .rev()
+            .map(|(_, mark)| mark)
+            .collect()),
         Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
         Err(e) => Err(fault("read", path)(e)),
     }
@@ -94,11 +116,23 @@ fn slots(bytes: &[u8]) -> Vec<(u64, Watermark)> {
         if u32::from_le_bytes(*crc) != crc32c::crc32c(numbers) || !numbers.starts_with(MAGIC) {
             return None;
         }
-        let mut numbers = numbers.chunks_exact(8).skip(1).map(|n| n.try_into().map_or(0, u64::from_le_bytes));
+        let mut numbers = numbers
+            .chunks_exact(8)
+            .skip(1)
+            .map(|n| n.try_into().map_or(0, u64::from_le_bytes));
         let mut next = || numbers.next().unwrap_or_default();
         let sequence = next();
         let (journal, length, chain, next_job, epoch) = (next(), next(), next(), next(), next());
-        Some((sequence, Watermark { journal, length, chain, next_job, epoch }))
+        Some((
+            sequence,
+            Watermark {
+                journal,
+                length,
+                chain,
+                next_job,
+                epoch,
+            },
+        ))
     };
     let mut found: Vec<_> = [0, SLOT_BYTES].into_iter().filter_map(slot).collect();
     found.sort_by_key(|(sequence, _)| *sequence);
@@ -108,23 +142,41 @@ fn slots(bytes: &[u8]) -> Vec<(u64, Watermark)> {
 impl WatermarkFile {
     /// Opens or creates the file. Its slots stay as they are.
     pub(super) fn open(disk: &dyn Disk, path: &Path) -> Result<Self, JournalError> {
-        if disk.attributes(path).map_err(fault("look at", path))?.is_none() {
+        if disk
+            .attributes(path)
+            .map_err(fault("look at", path))?
+            .is_none()
+        {
             let beside = path.with_extension("mark-new");
             let empty = [0; 2 * SLOT_BYTES as usize];
             disk::replace(disk, path, &beside, &empty).map_err(fault("create", path))?;
         }
-        let bytes =
-            disk::read_up_to(&ZeroUnreadable(disk), path, 2 * SLOT_BYTES).map_err(fault("read", path))?;
+        let bytes = disk::read_up_to(&ZeroUnreadable(disk), path, 2 * SLOT_BYTES)
+            .map_err(fault("read", path))?;
         let sequence = slots(&bytes).last().map_or(0, |(sequence, _)| *sequence);
-        let file = disk.open(path, Access::Update).map_err(fault("open", path))?;
-        Ok(Self { path: path.to_owned(), file, sequence, unsynced: false })
+        let file = disk
+            .open(path, Access::Update)
+            .map_err(fault("open", path))?;
+        Ok(Self {
+            path: path.to_owned(),
+            file,
+            sequence,
+            unsynced: false,
+        })
     }
 
     /// Writes a watermark into the older slot, without a sync.
     pub(super) fn record(&mut self, mark: &Watermark) -> Result<(), JournalError> {
         let sequence = self.sequence + 1;
         let mut content = MAGIC.to_vec();
-        for number in [sequence, mark.journal, mark.length, mark.chain, mark.next_job, mark.epoch] {
+        for number in [
+            sequence,
+            mark.journal,
+            mark.length,
+            mark.chain,
+            mark.next_job,
+            mark.epoch,
+        ] {
             content.extend(number.to_le_bytes());
         }
         content.extend(crc32c::crc32c(&content).to_le_bytes());
@@ -148,7 +200,11 @@ impl WatermarkFile {
 
 fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> JournalError {
     let path = path.to_owned();
-    move |source| JournalError::Io { doing, path: path.clone(), source: Arc::new(source) }
+    move |source| JournalError::Io {
+        doing,
+        path: path.clone(),
+        source: Arc::new(source),
+    }
 }
 
 #[cfg(test)]
@@ -157,7 +213,13 @@ mod tests {
     use super::*;
 
     fn mark(n: u64) -> Watermark {
-        Watermark { journal: 7, length: 24 + n, chain: n * n, next_job: n, epoch: 1 }
+        Watermark {
+            journal: 7,
+            length: 24 + n,
+            chain: n * n,
+            next_job: n,
+            epoch: 1,
+        }
     }
 
     #[test]

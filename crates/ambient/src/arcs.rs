@@ -45,7 +45,9 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
         if covered == Covered::Part {
             // The inside of a cap is one stretch of a great circle, at most half a turn, between two
             // crossings.
-            let Some([p, q]) = crossing(v.border, 0.0, cap.axis, cap.cosine) else { continue };
+            let Some([p, q]) = crossing(v.border, 0.0, cap.axis, cap.cosine) else {
+                continue;
+            };
             let angle = |p: DVec3| libm::atan2(way.dot(p), v.at.dot(p));
             let (one, two) = (angle(p), angle(q));
             let middle = libm::atan2(way.dot(cap.axis), v.at.dot(cap.axis));
@@ -53,17 +55,32 @@ pub fn common(corners: &[Corner], cap: &Cap) -> Vec<Piece> {
             let past = |t: f64| (t - middle).rem_euclid(TAU);
             let after = past(one).min(past(two));
             let before = TAU - past(one).max(past(two));
-            let middle = if middle + after < 0.0 { middle + TAU } else { middle };
-            (from, to) = (f64::max(middle - before, 0.0), f64::min(middle + after, length));
+            let middle = if middle + after < 0.0 {
+                middle + TAU
+            } else {
+                middle
+            };
+            (from, to) = (
+                f64::max(middle - before, 0.0),
+                f64::min(middle + after, length),
+            );
         }
         if to > from {
             let (sin, cos) = libm::sincos(from);
             let (v, w) = (v.at * cos + way * sin, way * cos - v.at * sin);
-            pieces.push(Piece::Great { v, w, length: to - from });
+            pieces.push(Piece::Great {
+                v,
+                w,
+                length: to - from,
+            });
         }
     }
     if covered == Covered::Part {
-        pieces.extend(circle(corners, cap).into_iter().map(|[from, to]| Piece::Circle { from, to }));
+        pieces.extend(
+            circle(corners, cap)
+                .into_iter()
+                .map(|[from, to]| Piece::Circle { from, to }),
+        );
     }
     pieces
 }
@@ -74,20 +91,30 @@ fn circle(corners: &[Corner], cap: &Cap) -> Vec<[f64; 2]> {
     let mut cuts: Vec<f64> = Vec::new();
     for c in corners {
         let found = crossing(c.border, 0.0, cap.axis, cap.cosine);
-        cuts.extend(found.into_iter().flatten().map(|p| libm::atan2(v.dot(p), u.dot(p)).rem_euclid(TAU)));
+        cuts.extend(
+            found
+                .into_iter()
+                .flatten()
+                .map(|p| libm::atan2(v.dot(p), u.dot(p)).rem_euclid(TAU)),
+        );
     }
     cuts.sort_unstable_by(f64::total_cmp);
     let ends: Vec<[f64; 2]> = match (cuts.first(), cuts.last()) {
-        (Some(first), Some(last)) => {
-            cuts.windows(2).map(|w| [w[0], w[1]]).chain([[*last, first + TAU]]).collect()
-        }
+        (Some(first), Some(last)) => cuts
+            .windows(2)
+            .map(|w| [w[0], w[1]])
+            .chain([[*last, first + TAU]])
+            .collect(),
         _ => vec![[0.0, TAU]],
     };
     let inside = |[from, to]: &[f64; 2]| {
         let at = cap.on_circle(u, v, 0.5 * (from + to));
         corners.iter().all(|c| c.border.dot(at) > 0.0)
     };
-    ends.into_iter().filter(|e| e[1] > e[0]).filter(inside).collect()
+    ends.into_iter()
+        .filter(|e| e[1] > e[0])
+        .filter(inside)
+        .collect()
 }
 
 /// Directions on the border in order, at most `step` radians apart on the cap's circle.
@@ -110,9 +137,15 @@ pub fn outline(corners: &[Corner], cap: &Cap, step: f64) -> Vec<DVec3> {
     // What is common to convex sets is convex, so its border turns once around its middle.
     let middle = points.iter().sum::<DVec3>().normalize_or(cap.axis);
     let (u, v) = middle.any_orthonormal_pair();
-    let (u, v) = if u.cross(v).dot(middle) > 0.0 { (u, v) } else { (v, u) };
-    let mut turned: Vec<(f64, DVec3)> =
-        points.into_iter().map(|p| (libm::atan2(v.dot(p), u.dot(p)), p)).collect();
+    let (u, v) = if u.cross(v).dot(middle) > 0.0 {
+        (u, v)
+    } else {
+        (v, u)
+    };
+    let mut turned: Vec<(f64, DVec3)> = points
+        .into_iter()
+        .map(|p| (libm::atan2(v.dot(p), u.dot(p)), p))
+        .collect();
     turned.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
     turned.dedup_by(|a, b| (a.1 - b.1).length_squared() < 1e-24);
     turned.into_iter().map(|(_, p)| p).collect()

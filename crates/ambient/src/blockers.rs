@@ -45,15 +45,25 @@ impl Blockers {
             let first = corners.len() as u32;
             let n = outline.len();
             // Corners on the line through their neighbours bound nothing.
-            let bent =
-                (0..n).filter(|i| !collinear(outline[(i + n - 1) % n], outline[*i], outline[(i + 1) % n]));
+            let bent = (0..n).filter(|i| {
+                !collinear(outline[(i + n - 1) % n], outline[*i], outline[(i + 1) % n])
+            });
             corners.extend(bent.map(|i| outline[i].as_dvec3()));
-            polygons.push(Polygon { first, count: corners.len() as u32 - first, triangle, surface });
+            polygons.push(Polygon {
+                first,
+                count: corners.len() as u32 - first,
+                triangle,
+                surface,
+            });
         };
         if let Some(joined) = joined {
             of.clone_from(&joined.of);
             for t in (0..scene.len()).filter(|t| scene.blocks(*t)) {
-                add(&scene.triangles()[t as usize].v, t, of[t as usize].unwrap_or(MASKED | t));
+                add(
+                    &scene.triangles()[t as usize].v,
+                    t,
+                    of[t as usize].unwrap_or(MASKED | t),
+                );
             }
         } else {
             let occluders = Occluders::from_both_sides(scene)?;
@@ -67,7 +77,9 @@ impl Blockers {
         }
         let mut texels = 0.0;
         for t in 0..scene.len() {
-            let Some((mask, of_corners)) = scene.masks().of(t) else { continue };
+            let Some((mask, of_corners)) = scene.masks().of(t) else {
+                continue;
+            };
             let v = scene.triangles()[t as usize].v.map(Vec3::as_dvec3);
             let Some(found) = masked::polygons(v, mask, of_corners, &mut texels) else {
                 return Err(SceneError::bad(
@@ -95,12 +107,19 @@ impl Blockers {
                 let corners = &corners[p.first as usize..(p.first + p.count) as usize];
                 // Corners of texels are no numbers of single precision; the box holds them.
                 let low = corners.iter().map(|c| Vec3::from(c.to_array().map(below)));
-                let high = corners.iter().map(|c| -Vec3::from((-*c).to_array().map(below)));
+                let high = corners
+                    .iter()
+                    .map(|c| -Vec3::from((-*c).to_array().map(below)));
                 Aabb::around(low.chain(high))
             })
             .collect();
         let order = (0..polygons.len() as u32).collect();
-        Ok(Self { bvh: Bvh::new(boxes, order), corners, polygons, of })
+        Ok(Self {
+            bvh: Bvh::new(boxes, order),
+            corners,
+            polygons,
+            of,
+        })
     }
 
     /// The corners of a polygon in order.
@@ -133,7 +152,11 @@ impl Blockers {
 /// The largest number of single precision that is not above another.
 fn below(x: f64) -> f32 {
     let near = x as f32;
-    if f64::from(near) > x { near.next_down() } else { near }
+    if f64::from(near) > x {
+        near.next_down()
+    } else {
+        near
+    }
 }
 
 /// The eight corners of a box.

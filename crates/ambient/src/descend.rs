@@ -66,7 +66,9 @@ impl Part<'_> {
         let hull = items.hull(id);
         // A corner's direction and a border's plane are each off by a few roundings.
         let far = 32.0 * U * items.item(id).far;
-        self.corners.iter().all(|v| hull.extent(v.border).1 - v.border.dot(self.x) > -far)
+        self.corners
+            .iter()
+            .all(|v| hull.extent(v.border).1 - v.border.dot(self.x) > -far)
     }
 }
 
@@ -99,7 +101,9 @@ impl Rays<'_, '_> {
     /// Bytes that the tree may take. A quarter is left to it whatever one query opens, so that it is not
     /// begun anew at every part.
     fn most(&self) -> usize {
-        self.bytes.saturating_sub(self.items.bytes()).max(self.bytes / 4)
+        self.bytes
+            .saturating_sub(self.items.bytes())
+            .max(self.bytes / 4)
     }
 
     /// Takes a part of the directions from `x`, a point of the source from its origin, to its ends. Returns
@@ -118,8 +122,17 @@ impl Rays<'_, '_> {
         scratch.corners.clear();
         scratch.corners.extend_from_slice(part);
         scratch.waiting.clear();
-        scratch.waiting.push(Waiting { node: 0, start: 0, caps: NONE });
-        while let Some(Waiting { mut node, start, mut caps }) = scratch.waiting.pop() {
+        scratch.waiting.push(Waiting {
+            node: 0,
+            start: 0,
+            caps: NONE,
+        });
+        while let Some(Waiting {
+            mut node,
+            start,
+            mut caps,
+        }) = scratch.waiting.pop()
+        {
             scratch.current.clear();
             scratch.current.extend_from_slice(&scratch.corners[start..]);
             scratch.corners.truncate(start);
@@ -134,7 +147,11 @@ impl Rays<'_, '_> {
             while scratch.current.len() > 2 {
                 match self.tree.node(node) {
                     Node::Undefined(_) => {
-                        let part = Part { corners: &scratch.current, x, distance: reach.distance() };
+                        let part = Part {
+                            corners: &scratch.current,
+                            x,
+                            distance: reach.distance(),
+                        };
                         let mut may = |items: &Items<'_>, id| part.may_meet(items, id);
                         match self.tree.grow(node, self.items, self.source, &mut may) {
                             Grown::Defined => {}
@@ -156,7 +173,12 @@ impl Rays<'_, '_> {
                         ends.met(*face, &scratch.current);
                         break;
                     }
-                    Node::Edge { a, b, inside, outside } => {
+                    Node::Edge {
+                        a,
+                        b,
+                        inside,
+                        outside,
+                    } => {
                         let plane = plane(self.items.point(*a), self.items.point(*b), x);
                         let unsure;
                         (node, unsure) = sort(&plane, [*inside, *outside], caps, scratch);
@@ -186,7 +208,8 @@ impl Rays<'_, '_> {
                         match reach {
                             Reach::Distance(distance) => {
                                 let (cap, unsure) = ahead.cap(distance);
-                                let covered = cap.map_or(Covered::None, |cap| cap.covers(&scratch.current));
+                                let covered =
+                                    cap.map_or(Covered::None, |cap| cap.covers(&scratch.current));
                                 if covered != Covered::None {
                                     ends.met(face, &scratch.current);
                                 }
@@ -204,28 +227,48 @@ impl Rays<'_, '_> {
                                 let normal = normal * height.signum();
                                 let d = (at - x).length();
                                 let error = [8.0 * U, 8.0 * U * d + self.source.slack];
-                                let light = Ahead { normal, height: height.abs(), error };
+                                let light = Ahead {
+                                    normal,
+                                    height: height.abs(),
+                                    error,
+                                };
                                 let plane = before(ahead, light);
                                 match side(&plane, &scratch.current, &mut scratch.values) {
                                     Side::Inside(unsure) => {
-                                        bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
+                                        bound += if unsure {
+                                            plane.uncertain(&scratch.current)
+                                        } else {
+                                            0.0
+                                        };
                                         ends.met(face, &scratch.current);
                                         break;
                                     }
                                     Side::Outside(unsure) => {
-                                        bound += if unsure { plane.uncertain(&scratch.current) } else { 0.0 };
+                                        bound += if unsure {
+                                            plane.uncertain(&scratch.current)
+                                        } else {
+                                            0.0
+                                        };
                                     }
                                     Side::Both => {
                                         scratch.inside.clear();
                                         let mut met = std::mem::take(&mut scratch.inside);
                                         let start = scratch.corners.len();
                                         let (current, values) = (&scratch.current, &scratch.values);
-                                        split(&plane, current, values, &mut met, &mut scratch.corners);
+                                        split(
+                                            &plane,
+                                            current,
+                                            values,
+                                            &mut met,
+                                            &mut scratch.corners,
+                                        );
                                         bound += plane.uncertain(&scratch.current);
                                         ends.met(face, &met);
                                         scratch.inside = met;
                                         scratch.current.clear();
-                                        scratch.current.extend_from_slice(&scratch.corners[start..]);
+                                        scratch
+                                            .current
+                                            .extend_from_slice(&scratch.corners[start..]);
                                         scratch.corners.truncate(start);
                                     }
                                 }
@@ -262,16 +305,26 @@ impl Ahead {
         let height = face.normal.dot(d) / size;
         let of_normal = face.error / size + 4.0 * U;
         let error = [of_normal, of_normal * d.length() + slack];
-        Self { normal: face.normal * (height.signum() / size), height: height.abs(), error }
+        Self {
+            normal: face.normal * (height.signum() / size),
+            height: height.abs(),
+            error,
+        }
     }
 
     /// The directions in which it is nearer than a distance, unless there is none, and the bound on the
     /// cosine-weighted area, divided by π, that the errors can add or take.
     pub fn cap(&self, distance: f64) -> (Option<Cap>, f64) {
-        let cap = Cap { axis: self.normal, cosine: self.height / distance };
+        let cap = Cap {
+            axis: self.normal,
+            cosine: self.height / distance,
+        };
         // A circle is at most 2π long; its radius changes by less than the error of its cosine by its sine,
         // and a circle that is small is short.
-        ((cap.cosine < 1.0).then_some(cap), 4.0 * (self.error[0] + self.error[1] / distance))
+        (
+            (cap.cosine < 1.0).then_some(cap),
+            4.0 * (self.error[0] + self.error[1] / distance),
+        )
     }
 }
 
@@ -281,7 +334,10 @@ fn before(one: Ahead, other: Ahead) -> Plane {
     let m = one.normal * other.height - other.normal * one.height;
     let of_normals = one.error[0] * other.height + other.error[0] * one.height;
     let of_heights = one.error[1] + other.error[1];
-    Plane { m, error: of_normals + of_heights + 8.0 * U * (one.height + other.height) }
+    Plane {
+        m,
+        error: of_normals + of_heights + 8.0 * U * (one.height + other.height),
+    }
 }
 
 /// Takes the current part on by a plane: to the first node inside of it, to the second one outside. A part
@@ -298,12 +354,22 @@ fn sort(plane: &Plane, to: [u32; 2], caps: u32, scratch: &mut Scratch) -> (u32, 
             let unsure = plane.uncertain(&scratch.current);
             let start = scratch.corners.len();
             scratch.inside.clear();
-            split(plane, &scratch.current, &scratch.values, &mut scratch.inside, &mut scratch.corners);
+            split(
+                plane,
+                &scratch.current,
+                &scratch.values,
+                &mut scratch.inside,
+                &mut scratch.corners,
+            );
             std::mem::swap(&mut scratch.current, &mut scratch.inside);
             if scratch.corners.len() - start < 3 {
                 scratch.corners.truncate(start);
             } else {
-                scratch.waiting.push(Waiting { node: outside, start, caps });
+                scratch.waiting.push(Waiting {
+                    node: outside,
+                    start,
+                    caps,
+                });
             }
             (inside, unsure)
         }

@@ -42,7 +42,9 @@ pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> (f64, f64) {
     let (mut sum, mut error) = (0.0, 0.0);
     for piece in common(corners, cap) {
         match piece {
-            Piece::Great { v, w, length } => sum += along(v, w, length, (normal, up, t), &mut error),
+            Piece::Great { v, w, length } => {
+                sum += along(v, w, length, (normal, up, t), &mut error)
+            }
             Piece::Circle { from, to } => {
                 let c = cap.cosine;
                 let root = c * c.sqrt();
@@ -60,7 +62,13 @@ pub fn counts(n: DVec3, corners: &[Corner], cap: &Cap) -> (f64, f64) {
 }
 
 /// One and a half times the integral along a stretch of a great circle.
-fn along(v: DVec3, w: DVec3, length: f64, (normal, up, t): (DVec3, f64, DVec3), error: &mut f64) -> f64 {
+fn along(
+    v: DVec3,
+    w: DVec3,
+    length: f64,
+    (normal, up, t): (DVec3, f64, DVec3),
+    error: &mut f64,
+) -> f64 {
     let (turn, side) = (normal.dot(v.cross(w)), normal.cross(t));
     let at = |angle: f64| {
         let (sin, cos) = libm::sincos(angle);
@@ -77,7 +85,13 @@ fn along(v: DVec3, w: DVec3, length: f64, (normal, up, t): (DVec3, f64, DVec3), 
     (0..pieces as u32)
         .map(|k| {
             let from = f64::from(k) * step;
-            halved(&at, (from, from + step), rule(&at, from, from + step), HALVINGS, error)
+            halved(
+                &at,
+                (from, from + step),
+                rule(&at, from, from + step),
+                HALVINGS,
+                error,
+            )
         })
         .sum()
 }
@@ -85,7 +99,9 @@ fn along(v: DVec3, w: DVec3, length: f64, (normal, up, t): (DVec3, f64, DVec3), 
 /// Gauss' rule on a stretch.
 fn rule(at: &impl Fn(f64) -> f64, from: f64, to: f64) -> f64 {
     let (middle, half) = (0.5 * (from + to), 0.5 * (to - from));
-    RULE.iter().map(|(x, weight)| weight * (at(middle - x * half) + at(middle + x * half))).sum::<f64>()
+    RULE.iter()
+        .map(|(x, weight)| weight * (at(middle - x * half) + at(middle + x * half)))
+        .sum::<f64>()
         * half
 }
 
@@ -104,7 +120,8 @@ fn halved(
         *error += off;
         return one + two;
     }
-    halved(at, (from, middle), one, halvings - 1, error) + halved(at, (middle, to), two, halvings - 1, error)
+    halved(at, (from, middle), one, halvings - 1, error)
+        + halved(at, (middle, to), two, halvings - 1, error)
 }
 
 #[cfg(test)]
@@ -115,8 +132,14 @@ mod tests {
     #[test]
     fn a_ceiling_counts_as_in_closed_form() {
         for c in [0.1, 0.35, 0.8] {
-            let cap = Cap { axis: DVec3::Z, cosine: c };
-            let value: f64 = quarters(DVec3::Z).iter().map(|q| counts(DVec3::Z, q, &cap).0).sum();
+            let cap = Cap {
+                axis: DVec3::Z,
+                cosine: c,
+            };
+            let value: f64 = quarters(DVec3::Z)
+                .iter()
+                .map(|q| counts(DVec3::Z, q, &cap).0)
+                .sum();
             let expected = 4.0 / 3.0 * c.sqrt() - 4.0 / 3.0 * c * c;
             assert!((value - expected).abs() < 1e-12, "{value} {expected}");
         }
@@ -125,15 +148,23 @@ mod tests {
     #[test]
     fn a_tilted_plane_counts_as_a_sum_over_cells() {
         let n = DVec3::Z;
-        let cap = Cap { axis: DVec3::new(0.48, 0.6, 0.64), cosine: 0.3 };
+        let cap = Cap {
+            axis: DVec3::new(0.48, 0.6, 0.64),
+            cosine: 0.3,
+        };
         let (steps, mut sum) = (2000, 0.0);
         for i in 0..steps {
             let s = (f64::from(i) + 0.5) / f64::from(steps);
             let (sin, cos) = (s.sqrt(), (1.0 - s).sqrt());
             for j in 0..steps {
-                let (y, x) = ((f64::from(j) + 0.5) / f64::from(steps) * std::f64::consts::TAU).sin_cos();
+                let (y, x) =
+                    ((f64::from(j) + 0.5) / f64::from(steps) * std::f64::consts::TAU).sin_cos();
                 let mu = cap.axis.dot(DVec3::new(sin * x, sin * y, cos));
-                sum += if mu > cap.cosine { (cap.cosine / mu).sqrt() } else { 0.0 };
+                sum += if mu > cap.cosine {
+                    (cap.cosine / mu).sqrt()
+                } else {
+                    0.0
+                };
             }
         }
         let expected = sum / f64::from(steps * steps);

@@ -87,7 +87,11 @@ impl<F: Fn(u32) -> Face> Ends for Collect<'_, F> {
                 Covered::All => part.iter().map(|c| c.at).collect(),
                 _ => outline(part, &cap, STEP),
             };
-            fragments.push(Fragment { polygon: f.polygon, directions, factor: whole - beyond });
+            fragments.push(Fragment {
+                polygon: f.polygon,
+                directions,
+                factor: whole - beyond,
+            });
         }
     }
 }

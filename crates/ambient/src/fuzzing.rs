@@ -23,13 +23,19 @@ const TRIANGLES: [[[f32; 3]; 3]; 9] = [
     [[1.0, -2.0, -1.0], [1.0, 2.0, -1.0], [1.0, 0.0, 3.0]],
     [[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0e-30, 0.0, 2.0]],
     [[-2.0, 0.0, 0.0], [-2.0, 1.0, 0.0], [-2.0, 0.0, 1.0e-3]],
-    [[1.0e30, 0.0, 5.0], [0.0, 1.0e30, 5.0], [-1.0e30, -1.0e30, 5.0]],
+    [
+        [1.0e30, 0.0, 5.0],
+        [0.0, 1.0e30, 5.0],
+        [-1.0e30, -1.0e30, 5.0],
+    ],
     [[-3.0, -3.0, 0.5], [-3.0, 3.0, 0.5], [-3.5, 0.0, 4.0]],
 ];
 
 /// The lines of bytes that are what they should be. Every line is looked at.
 fn lines<L: DeserializeOwned>(bytes: &[u8]) -> impl Iterator<Item = L> {
-    bytes.split(|b| *b == b'\n').filter_map(|line| serde_json::from_slice(line).ok())
+    bytes
+        .split(|b| *b == b'\n')
+        .filter_map(|line| serde_json::from_slice(line).ok())
 }
 
 /// Bytes as the lines of a points file, and their openness: within a finite distance, an infinite one, and
@@ -39,12 +45,18 @@ fn lines<L: DeserializeOwned>(bytes: &[u8]) -> impl Iterator<Item = L> {
 /// When an answer is not between 0 and 1, or not finite, or fragments and openness do not add up. No bytes
 /// may cause that.
 pub fn points(bytes: &[u8]) -> bool {
-    let receivers: Vec<Receiver> =
-        lines(bytes).filter_map(|line: PointLine| line.receiver(TRIANGLES.len()).ok()).take(MOST).collect();
+    let receivers: Vec<Receiver> = lines(bytes)
+        .filter_map(|line: PointLine| line.receiver(TRIANGLES.len()).ok())
+        .take(MOST)
+        .collect();
     let [near, far, first] = [
         Settings::new(1.5),
         Settings::new(f64::INFINITY),
-        Settings { falloff: Falloff::Sqrt, fragments: true, ..Settings::new(2.5) },
+        Settings {
+            falloff: Falloff::Sqrt,
+            fragments: true,
+            ..Settings::new(2.5)
+        },
     ];
     for settings in [near, far, first] {
         answers(&receivers, settings);
@@ -58,38 +70,76 @@ pub fn points(bytes: &[u8]) -> bool {
 /// # Panics
 /// When a factor is not between 0 and 1 within its bound, or not finite. No bytes may cause that.
 pub fn lights(bytes: &[u8]) -> bool {
-    let lights: Vec<Light> =
-        lines(bytes).filter_map(|line: LightLine| Some(line.light().ok()?.1)).take(MOST).collect();
+    let lights: Vec<Light> = lines(bytes)
+        .filter_map(|line: LightLine| Some(line.light().ok()?.1))
+        .take(MOST)
+        .collect();
     let is_any = !lights.is_empty();
-    let at = |point: [f64; 3], normal, triangle| Receiver { point: point.into(), normal, triangle };
+    let at = |point: [f64; 3], normal, triangle| Receiver {
+        point: point.into(),
+        normal,
+        triangle,
+    };
     let receivers = [
         at([0.25, 0.25, 0.0], DVec3::Z, Some(0)),
         at([0.5, 0.25, 0.0], DVec3::Z, Some(0)),
         at([-1.0, 2.0, 0.5], DVec3::new(0.6, 0.0, 0.8), None),
     ];
-    answers(&receivers, Settings { lights, ..Settings::new(2.0) });
+    answers(
+        &receivers,
+        Settings {
+            lights,
+            ..Settings::new(2.0)
+        },
+    );
     is_any
 }
 
 /// Answers, which are checked.
 fn answers(receivers: &[Receiver], settings: Settings) {
-    let corners = |t: &[[f32; 3]; 3]| Triangle { v: t.map(Vec3::from) };
-    let object = Object { name: "fuzz".to_owned(), first: 0, count: TRIANGLES.len() as u32 };
-    let scene = Scene::new("fuzz", TRIANGLES.iter().map(corners).collect(), vec![object]);
+    let corners = |t: &[[f32; 3]; 3]| Triangle {
+        v: t.map(Vec3::from),
+    };
+    let object = Object {
+        name: "fuzz".to_owned(),
+        first: 0,
+        count: TRIANGLES.len() as u32,
+    };
+    let scene = Scene::new(
+        "fuzz",
+        TRIANGLES.iter().map(corners).collect(),
+        vec![object],
+    );
     let prepared = scene.and_then(|scene| Prepared::new(&scene, settings.fragments));
-    let solver = prepared.as_ref().map(|prepared| Solver::new(prepared, settings.clone()));
+    let solver = prepared
+        .as_ref()
+        .map(|prepared| Solver::new(prepared, settings.clone()));
     assert!(solver.is_ok(), "the scene of the fuzz targets is one");
     let Ok(solver) = solver else { return };
     for (receiver, answer) in receivers.iter().zip(solver.solve(receivers, |_| {})) {
-        let Answer { openness, lights, fragments, .. } = &answer;
+        let Answer {
+            openness,
+            lights,
+            fragments,
+            ..
+        } = &answer;
         let bound = openness.bound;
-        assert!(bound.is_finite() && bound >= 0.0, "{receiver:?}: {openness:?}");
+        assert!(
+            bound.is_finite() && bound >= 0.0,
+            "{receiver:?}: {openness:?}"
+        );
         for share in lights.iter().chain([&openness.open]) {
             // Lambert's formula may leave the range by roundings, which the bound counts.
-            assert!(*share >= 0.0 && *share <= 1.0 + bound, "{receiver:?}: {share} within {bound}");
+            assert!(
+                *share >= 0.0 && *share <= 1.0 + bound,
+                "{receiver:?}: {share} within {bound}"
+            );
         }
         assert_eq!(lights.len(), settings.lights.len(), "{receiver:?}");
         let factors: f64 = fragments.iter().map(|f| f.factor).sum();
-        assert!(factors.is_finite() && factors <= 1.0 + bound, "{receiver:?}: fragments take {factors}");
+        assert!(
+            factors.is_finite() && factors <= 1.0 + bound,
+            "{receiver:?}: fragments take {factors}"
+        );
     }
 }

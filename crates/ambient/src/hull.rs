@@ -36,7 +36,8 @@ impl Hull<'_> {
             Self::Box(middle, half) => {
                 for k in 0..N {
                     let value = along(middle, k);
-                    let reach = m[0][k].abs() * half.x + m[1][k].abs() * half.y + m[2][k].abs() * half.z;
+                    let reach =
+                        m[0][k].abs() * half.x + m[1][k].abs() * half.y + m[2][k].abs() * half.z;
                     (least[k], most[k]) = (value - reach, value + reach);
                 }
             }

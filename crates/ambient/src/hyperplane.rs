@@ -50,7 +50,10 @@ pub fn l1(v: DVec3) -> f64 {
 /// point's own error; a product of two and the sum of three add three roundings, and m·v as many.
 pub fn plane(a: DVec3, b: DVec3, x: DVec3) -> Plane {
     let (p, q) = (a - x, b - x);
-    Plane { m: p.cross(q), error: 8.0 * U * l1(p) * l1(q) }
+    Plane {
+        m: p.cross(q),
+        error: 8.0 * U * l1(p) * l1(q),
+    }
 }
 
 impl Hyperplane {
@@ -68,7 +71,12 @@ impl Hyperplane {
                 (planes.from[lane], planes.error[lane]) = (m.dot(*s), 2.0 * error);
             }
         }
-        Self { planes, count, slack: source.slack * l1(b - a), far }
+        Self {
+            planes,
+            count,
+            slack: source.slack * l1(b - a),
+            far,
+        }
     }
 
     /// How rays to a hull pass, no corner of which is farther than `far` from the source.
@@ -86,6 +94,10 @@ impl Hyperplane {
                 return Passes::Both;
             }
         }
-        if inside { Passes::Inside } else { Passes::Outside }
+        if inside {
+            Passes::Inside
+        } else {
+            Passes::Outside
+        }
     }
 }

@@ -29,11 +29,22 @@ impl Inside {
         let solids = Solids::of_blocking(scene)?;
         let outer = |id: u32| solids.outward(id) == Some(1.0);
         let ids: Vec<u32> = (0..scene.len()).filter(|id| outer(*id)).collect();
-        let triangles: Vec<[Vec3; 3]> = ids.iter().map(|id| scene.triangles()[*id as usize].v).collect();
-        let boxes: Vec<Aabb> = triangles.iter().map(|t| Aabb::around(t.iter().copied())).collect();
+        let triangles: Vec<[Vec3; 3]> = ids
+            .iter()
+            .map(|id| scene.triangles()[*id as usize].v)
+            .collect();
+        let boxes: Vec<Aabb> = triangles
+            .iter()
+            .map(|t| Aabb::around(t.iter().copied()))
+            .collect();
         let bounds = boxes.iter().fold(Aabb::EMPTY, |all: Aabb, b| all.union(*b));
         let order = (0..triangles.len() as u32).collect();
-        Ok(Self { bvh: Bvh::new(boxes, order), triangles, ids, bounds })
+        Ok(Self {
+            bvh: Bvh::new(boxes, order),
+            triangles,
+            ids,
+            bounds,
+        })
     }
 
     /// Whether a receiver, a hair above its surface, is inside of a solid. A line from it leaves as many
@@ -52,15 +63,18 @@ impl Inside {
         (0..TRIES).find_map(|k| {
             // Tilted from the normal by 0.1 to 0.8 of a right angle's tangent, each time to another side.
             let (tilt, turn) = (0.1 + 0.1 * f64::from(k), 2.4 * f64::from(k) + 0.37);
-            let way = (n + u * (tilt * libm::cos(turn)) + v * (tilt * libm::sin(turn))).normalize() * away;
+            let way = (n + u * (tilt * libm::cos(turn)) + v * (tilt * libm::sin(turn))).normalize()
+                * away;
             near.clear();
             let size = x.abs().max_element() + away;
             self.bvh.along(x, x + way, size * 1e-12, &mut near);
             // The point is above its own triangle, wherever rounding put it.
-            let others = near.iter().filter(|t| receiver.triangle != Some(self.ids[**t as usize]));
-            let leaves = others
-                .copied()
-                .try_fold(0i64, |sum, t| Some(sum + crossing(&self.triangles[t as usize], x, way)?));
+            let others = near
+                .iter()
+                .filter(|t| receiver.triangle != Some(self.ids[**t as usize]));
+            let leaves = others.copied().try_fold(0i64, |sum, t| {
+                Some(sum + crossing(&self.triangles[t as usize], x, way)?)
+            });
             leaves.map(|leaves| leaves > 0)
         }) == Some(true)
     }
@@ -79,7 +93,8 @@ fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
     }
     let sign = |p: DVec3, q: DVec3| {
         let value = p.cross(q).dot(way);
-        let error = (16.0 * U * p.length() * q.length() + rounded * (p.length() + q.length())) * way.length();
+        let error = (16.0 * U * p.length() * q.length() + rounded * (p.length() + q.length()))
+            * way.length();
         (value.abs() > error).then_some(value > 0.0)
     };
     let sides = [sign(a, b), sign(b, c), sign(c, a)];
@@ -87,7 +102,9 @@ fn crossing(triangle: &[Vec3; 3], x: DVec3, way: DVec3) -> Option<i64> {
     if sides.contains(&Some(true)) && sides.contains(&Some(false)) {
         return Some(0);
     }
-    let [Some(side), Some(_), Some(_)] = sides else { return None };
+    let [Some(side), Some(_), Some(_)] = sides else {
+        return None;
+    };
     // With all three positive the triangle turns to the left about the ray: it leaves through it if it is
     // ahead.
     let ahead = (height > 0.0) == (normal.dot(way) > 0.0);

@@ -46,7 +46,9 @@ impl Reach {
     fn is_beyond(&self, corners: &[DVec3]) -> bool {
         match self {
             Self::Distance(_) => false,
-            Self::Light { normal, at, slack } => corners.iter().all(|c| normal.dot(*c - *at) >= -slack),
+            Self::Light { normal, at, slack } => {
+                corners.iter().all(|c| normal.dot(*c - *at) >= -slack)
+            }
         }
     }
 }
@@ -124,7 +126,9 @@ struct Counts {
 fn distance(p: DVec3, corners: &[DVec3], normal: DVec3) -> f64 {
     let size = normal.length();
     let (mut inside, mut nearest) = (size > 0.0, f64::INFINITY);
-    let Some(last) = corners.last() else { return f64::INFINITY };
+    let Some(last) = corners.last() else {
+        return f64::INFINITY;
+    };
     let mut a = *last;
     for b in corners {
         let (edge, way) = (*b - a, p - a);
@@ -133,7 +137,11 @@ fn distance(p: DVec3, corners: &[DVec3], normal: DVec3) -> f64 {
         nearest = nearest.min((way - edge * t).length());
         a = *b;
     }
-    if inside { (normal.dot(p - a) / size).abs() } else { nearest }
+    if inside {
+        (normal.dot(p - a) / size).abs()
+    } else {
+        nearest
+    }
 }
 
 impl<'a> Items<'a> {
@@ -164,7 +172,12 @@ impl<'a> Items<'a> {
     /// Forgets what has been opened since [`Self::begin`]. Numbers of later items and faces mean nothing any
     /// more.
     pub fn forget(&mut self) {
-        let Counts { points, items, faces, children } = self.begun;
+        let Counts {
+            points,
+            items,
+            faces,
+            children,
+        } = self.begun;
         self.points.truncate(points);
         self.items.truncate(items);
         self.faces.truncate(faces);
@@ -237,7 +250,12 @@ impl<'a> Items<'a> {
         }
         self.sort(&mut list);
         let (points, items) = (self.points.len(), self.items.len());
-        self.begun = Counts { points, items, faces: self.faces.len(), children: self.children.len() };
+        self.begun = Counts {
+            points,
+            items,
+            faces: self.faces.len(),
+            children: self.children.len(),
+        };
         list
     }
 
@@ -265,11 +283,15 @@ impl<'a> Items<'a> {
         if let Some(found) = self.opened[id as usize] {
             return found;
         }
-        let What::Box(node) = self.items[id as usize].what else { return (0, 0) };
+        let What::Box(node) = self.items[id as usize].what else {
+            return (0, 0);
+        };
         let mut found = Vec::new();
         match self.blockers.bvh().below(node) {
             Below::Nodes(nodes) => found.extend(nodes.into_iter().filter_map(|n| self.add_box(n))),
-            Below::Items(polygons) => found.extend(polygons.iter().filter_map(|p| self.add_face(*p))),
+            Below::Items(polygons) => {
+                found.extend(polygons.iter().filter_map(|p| self.add_face(*p)))
+            }
         }
         let range = (self.children.len() as u32, found.len() as u32);
         self.children.extend(found);
@@ -279,14 +301,22 @@ impl<'a> Items<'a> {
 
     /// Whether corners are all at or below the horizon of every point.
     fn is_below(&self, corners: &[DVec3]) -> bool {
-        self.source.normal.is_some_and(|n| corners.iter().all(|c| n.dot(*c) <= self.source.lowest))
+        self.source
+            .normal
+            .is_some_and(|n| corners.iter().all(|c| n.dot(*c) <= self.source.lowest))
     }
 
     fn add(&mut self, corners: &[DVec3], weight: f64, what: What) -> u32 {
         let first = self.points.len() as u32;
         self.points.extend(corners);
         let far = corners.iter().fold(0.0f64, |far, c| far.max(c.length())) + self.source.radius;
-        self.items.push(Item { first, count: corners.len() as u32, far, weight, what });
+        self.items.push(Item {
+            first,
+            count: corners.len() as u32,
+            far,
+            weight,
+            what,
+        });
         self.opened.push(None);
         self.items.len() as u32 - 1
     }
@@ -303,7 +333,11 @@ impl<'a> Items<'a> {
         let middle = (min + max) * 0.5;
         let half = (max - min).length() * 0.5;
         let away = middle.length().max(self.source.radius);
-        let weight = if near <= self.source.radius { f64::INFINITY } else { half * half / (away * away) };
+        let weight = if near <= self.source.radius {
+            f64::INFINITY
+        } else {
+            half * half / (away * away)
+        };
         Some(self.add(&corners, weight, What::Box(node)))
     }
 
@@ -312,7 +346,12 @@ impl<'a> Items<'a> {
             return None;
         }
         let origin = self.source.origin;
-        let corners: Vec<DVec3> = self.blockers.corners(polygon).iter().map(|c| *c - origin).collect();
+        let corners: Vec<DVec3> = self
+            .blockers
+            .corners(polygon)
+            .iter()
+            .map(|c| *c - origin)
+            .collect();
         if self.is_below(&corners) || self.reach.is_beyond(&corners) {
             return None;
         }
@@ -348,21 +387,36 @@ impl<'a> Items<'a> {
             // Its plane holds every point.
             return None;
         }
-        let from = if unsure || sides[0] == sides[1] { From::Both } else { From::Side(sides[1]) };
+        let from = if unsure || sides[0] == sides[1] {
+            From::Both
+        } else {
+            From::Side(sides[1])
+        };
         let middle = corners.iter().sum::<DVec3>() / corners.len() as f64;
         let away = middle.length().max(self.source.radius * 0.5);
         let seen = (sum.dot(middle) * 0.5).abs() / (away * away * away);
         let within = match self.reach {
             Reach::Distance(most) => {
-                let ways =
-                    corners.iter().flat_map(|c| self.source.corners.iter().map(move |s| (*c - *s).length()));
+                let ways = corners
+                    .iter()
+                    .flat_map(|c| self.source.corners.iter().map(move |s| (*c - *s).length()));
                 ways.fold(0.0f64, f64::max) + self.source.slack < most * (1.0 - 1e-12)
             }
-            Reach::Light { normal, at, slack } => corners.iter().all(|c| normal.dot(*c - at) < -slack),
+            Reach::Light { normal, at, slack } => {
+                corners.iter().all(|c| normal.dot(*c - at) < -slack)
+            }
         };
         let face = self.faces.len() as u32;
         let item = self.items.len() as u32;
-        self.faces.push(Face { polygon, item, normal, at, error, from, within });
+        self.faces.push(Face {
+            polygon,
+            item,
+            normal,
+            at,
+            error,
+            from,
+            within,
+        });
         Some(self.add(&corners, seen, What::Face(face)))
     }
 }

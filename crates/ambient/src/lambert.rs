@@ -42,7 +42,11 @@ fn angle(cross: f64, dot: f64) -> f64 {
 fn arc(n: DVec3, v: DVec3, w: DVec3) -> f64 {
     let c = v.cross(w);
     let size = c.length();
-    if size > 0.0 { n.dot(c) * (angle(size, v.dot(w)) / size) } else { 0.0 }
+    if size > 0.0 {
+        n.dot(c) * (angle(size, v.dot(w)) / size)
+    } else {
+        0.0
+    }
 }
 
 /// The cosine-weighted area of a polygon divided by π: 1 for the hemisphere over `n`. Polygons of fewer than
@@ -61,7 +65,10 @@ pub fn cosine(n: DVec3, corners: &[Corner]) -> f64 {
 impl Cap {
     /// How a convex polygon lies with respect to the cap.
     pub fn covers(&self, corners: &[Corner]) -> Covered {
-        let inside = corners.iter().filter(|v| self.axis.dot(v.at) >= self.cosine).count();
+        let inside = corners
+            .iter()
+            .filter(|v| self.axis.dot(v.at) >= self.cosine)
+            .count();
         // A cap is convex.
         if inside == corners.len() {
             return Covered::All;
@@ -83,12 +90,19 @@ impl Cap {
                 }
             }
         }
-        if centred { Covered::Part } else { Covered::None }
+        if centred {
+            Covered::Part
+        } else {
+            Covered::None
+        }
     }
 
     /// Whether the cap holds another one, but for a border narrower than `slack`.
     pub fn holds(&self, other: &Self, slack: f64) -> bool {
-        let between = angle(self.axis.cross(other.axis).length(), self.axis.dot(other.axis));
+        let between = angle(
+            self.axis.cross(other.axis).length(),
+            self.axis.dot(other.axis),
+        );
         between + libm::acos(other.cosine) <= libm::acos(self.cosine) + slack
     }
 
@@ -106,7 +120,11 @@ impl Cap {
     /// Two unit vectors across the axis, so that (u, v, axis) is right-handed.
     pub fn across(&self) -> (DVec3, DVec3) {
         let (u, v) = self.axis.any_orthonormal_pair();
-        if u.cross(v).dot(self.axis) > 0.0 { (u, v) } else { (v, u) }
+        if u.cross(v).dot(self.axis) > 0.0 {
+            (u, v)
+        } else {
+            (v, u)
+        }
     }
 }
 
@@ -165,7 +183,10 @@ fn outside(corner: &Corner, length: f64, caps: &[Cap], cuts: &mut Vec<f64>) -> f
     let (v, w) = (corner.at, corner.border.cross(corner.at));
     cuts.clear();
     for cap in caps {
-        for p in crossing(corner.border, 0.0, cap.axis, cap.cosine).into_iter().flatten() {
+        for p in crossing(corner.border, 0.0, cap.axis, cap.cosine)
+            .into_iter()
+            .flatten()
+        {
             let t = turned(libm::atan2(w.dot(p), v.dot(p)));
             if t < length {
                 cuts.push(t);
@@ -197,12 +218,18 @@ fn border(n: DVec3, corners: &[Corner], caps: &[Cap], k: usize, cuts: &mut Vec<f
     cuts.clear();
     let mut cut = |p: DVec3| cuts.push(turned(libm::atan2(v.dot(p), u.dot(p))));
     for m in edges() {
-        crossing(m, 0.0, cap.axis, cap.cosine).into_iter().flatten().for_each(&mut cut);
+        crossing(m, 0.0, cap.axis, cap.cosine)
+            .into_iter()
+            .flatten()
+            .for_each(&mut cut);
     }
     for (j, other) in others() {
         // In the same order from both sides.
         let (one, two) = if j < k { (other, &cap) } else { (&cap, other) };
-        crossing(one.axis, one.cosine, two.axis, two.cosine).into_iter().flatten().for_each(&mut cut);
+        crossing(one.axis, one.cosine, two.axis, two.cosine)
+            .into_iter()
+            .flatten()
+            .for_each(&mut cut);
     }
     cuts.sort_unstable_by(f64::total_cmp);
     // From the last cut round to the first.
@@ -247,9 +274,14 @@ mod tests {
     fn a_cap_about_the_normal_takes_its_sine_squared() {
         let mut scratch = Vec::new();
         for cosine in [0.1, 0.5, 0.9, 0.999] {
-            let caps = [Cap { axis: DVec3::Z, cosine }];
-            let left: f64 =
-                quadrants().iter().map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch)).sum();
+            let caps = [Cap {
+                axis: DVec3::Z,
+                cosine,
+            }];
+            let left: f64 = quadrants()
+                .iter()
+                .map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch))
+                .sum();
             assert!((left - cosine * cosine).abs() < 1e-14, "{left} {cosine}");
         }
     }
@@ -258,12 +290,24 @@ mod tests {
     #[test]
     fn caps_anywhere_are_integrated() {
         let caps = [
-            Cap { axis: DVec3::new(0.6, 0.0, 0.8), cosine: 0.8 },
-            Cap { axis: DVec3::new(0.0, 0.8, 0.6), cosine: 0.7 },
-            Cap { axis: DVec3::new(1.0, 0.0, 0.0), cosine: 0.6 },
+            Cap {
+                axis: DVec3::new(0.6, 0.0, 0.8),
+                cosine: 0.8,
+            },
+            Cap {
+                axis: DVec3::new(0.0, 0.8, 0.6),
+                cosine: 0.7,
+            },
+            Cap {
+                axis: DVec3::new(1.0, 0.0, 0.0),
+                cosine: 0.6,
+            },
         ];
         let mut scratch = Vec::new();
-        let exact: f64 = quadrants().iter().map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch)).sum();
+        let exact: f64 = quadrants()
+            .iter()
+            .map(|q| cosine_without(DVec3::Z, q, &caps, &mut scratch))
+            .sum();
         let (steps, mut sum) = (2000, 0.0);
         for i in 0..steps {
             // Equal cells in sin²θ and φ have equal cosine-weighted areas.
@@ -282,7 +326,10 @@ mod tests {
     #[test]
     fn a_cap_knows_what_it_covers() {
         let octant = polygon(&[DVec3::Z, DVec3::X, DVec3::Y]);
-        let cap = |axis: [f64; 3], cosine| Cap { axis: DVec3::from(axis).normalize(), cosine };
+        let cap = |axis: [f64; 3], cosine| Cap {
+            axis: DVec3::from(axis).normalize(),
+            cosine,
+        };
         assert_eq!(cap([1.0, 1.0, 1.0], 0.9).covers(&octant), Covered::Part);
         assert_eq!(cap([1.0, 1.0, 1.0], 0.5).covers(&octant), Covered::All);
         assert_eq!(cap([1.0, 1.0, -1.0], 0.99).covers(&octant), Covered::None);

@@ -72,9 +72,16 @@ impl PointLine {
             return Err(LineError::NoDirection(self.normal));
         }
         if let Some(triangle) = self.triangle.filter(|t| *t as usize >= triangles) {
-            return Err(LineError::NoTriangle { triangle, triangles });
+            return Err(LineError::NoTriangle {
+                triangle,
+                triangles,
+            });
         }
-        Ok(Receiver { point, normal: normal / size, triangle: self.triangle })
+        Ok(Receiver {
+            point,
+            normal: normal / size,
+            triangle: self.triangle,
+        })
     }
 }
 

@@ -16,7 +16,12 @@ struct Corner {
 
 /// The polygons of the texels of a triangle that block: rows of neighbours, and rows of equal extent joined.
 /// None when the triangle lies over too many texels.
-pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates, texels: &mut f64) -> Option<Vec<Vec<DVec3>>> {
+pub fn polygons(
+    v: [DVec3; 3],
+    mask: &Mask,
+    of: &Coordinates,
+    texels: &mut f64,
+) -> Option<Vec<Vec<DVec3>>> {
     let size = mask.size().map(f64::from);
     let corners: [Corner; 3] = std::array::from_fn(|k| {
         let texel = std::array::from_fn(|a| f64::from(of[k][a]) * size[a]);
@@ -25,7 +30,9 @@ pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates, texels: &mut f64) 
     let range = |a: usize| {
         let (min, max) = corners
             .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), c| (l.min(c.texel[a]), m.max(c.texel[a])));
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), c| {
+                (l.min(c.texel[a]), m.max(c.texel[a]))
+            });
         (min.floor(), (max.floor() + 1.0 - min.floor()).max(1.0))
     };
     let ((x0, width), (y0, height)) = (range(0), range(1));
@@ -41,7 +48,11 @@ pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates, texels: &mut f64) 
     for row in 0..=height as u32 {
         let y = y0 + f64::from(row);
         let mut runs: Vec<[f64; 2]> = Vec::new();
-        for column in 0..(if f64::from(row) < height { width as u32 } else { 0 }) {
+        for column in 0..(if f64::from(row) < height {
+            width as u32
+        } else {
+            0
+        }) {
             let x = x0 + f64::from(column);
             match runs.last_mut() {
                 _ if !blocks(x, y) => {}
@@ -49,8 +60,12 @@ pub fn polygons(v: [DVec3; 3], mask: &Mask, of: &Coordinates, texels: &mut f64) 
                 _ => runs.push([x, x + 1.0]),
             }
         }
-        let (goes_on, ends): (Vec<_>, Vec<_>) = open.into_iter().partition(|(run, _)| runs.contains(run));
-        found.extend(ends.into_iter().filter_map(|(run, begun)| cut(&corners, run, [begun, y])));
+        let (goes_on, ends): (Vec<_>, Vec<_>) =
+            open.into_iter().partition(|(run, _)| runs.contains(run));
+        found.extend(
+            ends.into_iter()
+                .filter_map(|(run, begun)| cut(&corners, run, [begun, y])),
+        );
         open = goes_on;
         for run in runs {
             if !open.iter().any(|(other, _)| *other == run) {
@@ -78,13 +93,20 @@ fn cut(triangle: &[Corner; 3], x: [f64; 2], y: [f64; 2]) -> Option<Vec<DVec3>> {
                     let t = p / (p - q);
                     let mut texel = [0, 1].map(|a| c.texel[a] + (d.texel[a] - c.texel[a]) * t);
                     texel[axis] = bound;
-                    left.push(Corner { at: c.at + (d.at - c.at) * t, texel });
+                    left.push(Corner {
+                        at: c.at + (d.at - c.at) * t,
+                        texel,
+                    });
                 }
             }
             polygon = left;
         }
     }
     let at: Vec<DVec3> = polygon.into_iter().map(|c| c.at).collect();
-    let area: DVec3 = at.get(1..)?.windows(2).map(|w| (w[0] - at[0]).cross(w[1] - at[0])).sum();
+    let area: DVec3 = at
+        .get(1..)?
+        .windows(2)
+        .map(|w| (w[0] - at[0]).cross(w[1] - at[0]))
+        .sum();
     (at.len() > 2 && area != DVec3::ZERO).then_some(at)
 }

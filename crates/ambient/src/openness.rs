@@ -90,7 +90,12 @@ pub fn open(
     let n = receiver.normal.normalize();
     seen.begin();
     rays.begin();
-    let mut sum = Sum { n, answer: Openness::default(), seen, cuts };
+    let mut sum = Sum {
+        n,
+        answer: Openness::default(),
+        seen,
+        cuts,
+    };
     let mut bound = 0.0;
     for quarter in quarters(n) {
         bound += rays.descend(x, &quarter, scratch, &mut sum)?;

@@ -137,7 +137,10 @@ impl Partition {
         self.nodes.clear();
         self.lists = 0;
         let list = Rc::new(self.root.clone());
-        self.leaf(Undefined { list, ..Undefined::default() });
+        self.leaf(Undefined {
+            list,
+            ..Undefined::default()
+        });
     }
 
     /// Bytes that the tree takes, about.
@@ -167,14 +170,26 @@ impl Partition {
 
     fn undefined(&mut self, leaf: Undefined) -> Node {
         match leaf {
-            Undefined { list, class: None, .. } if list.is_empty() => Node::Free,
-            Undefined { list, class: Some((face, _)), .. } if list.is_empty() => Node::Met(face),
+            Undefined {
+                list, class: None, ..
+            } if list.is_empty() => Node::Free,
+            Undefined {
+                list,
+                class: Some((face, _)),
+                ..
+            } if list.is_empty() => Node::Met(face),
             leaf => Node::Undefined(leaf),
         }
     }
 
     /// Puts the items of an undefined class into a list.
-    fn resolve(&mut self, leaf: &mut Undefined, items: &Items<'_>, source: &Source, list: &mut Vec<u32>) {
+    fn resolve(
+        &mut self,
+        leaf: &mut Undefined,
+        items: &Items<'_>,
+        source: &Source,
+        list: &mut Vec<u32>,
+    ) {
         list.clear();
         let all = std::mem::take(&mut leaf.list);
         let Some(pending) = leaf.pending.take() else {
@@ -184,12 +199,17 @@ impl Partition {
         let edges = Edges::of(items, pending.item, pending.front);
         self.hyperplanes.clear();
         let count = pending.inside + u32::from(pending.outside);
-        self.hyperplanes.extend((0..count).map(|k| edges.hyperplane(items, source, k)));
+        self.hyperplanes
+            .extend((0..count).map(|k| edges.hyperplane(items, source, k)));
         let (inside, outside) = self.hyperplanes.split_at(pending.inside as usize);
         let belongs = |id: &u32| {
             let (hull, far) = (items.hull(*id), items.item(*id).far);
-            inside.iter().all(|p| !matches!(p.passes(hull, far), Passes::Outside))
-                && outside.iter().all(|p| !matches!(p.passes(hull, far), Passes::Inside))
+            inside
+                .iter()
+                .all(|p| !matches!(p.passes(hull, far), Passes::Outside))
+                && outside
+                    .iter()
+                    .all(|p| !matches!(p.passes(hull, far), Passes::Inside))
                 && pending
                     .before
                     .is_none_or(|(f, front)| !is_behind(items.face(f), front, items.corners(*id)))
@@ -237,7 +257,9 @@ impl Partition {
         }
         let mut k = 0;
         let found = loop {
-            let Some(id) = list.get(k).copied() else { break None };
+            let Some(id) = list.get(k).copied() else {
+                break None;
+            };
             // The face of a class whose start is known goes first.
             if leaf.from.is_none() && !may(items, id) {
                 k += 1;
@@ -264,11 +286,17 @@ impl Partition {
                 // The face first, then the others as they are.
                 list[..=k].rotate_right(1);
                 leaf.list = Rc::new(list.clone());
-                let side = |front| Undefined { from: Some(front), ..leaf.clone() };
+                let side = |front| Undefined {
+                    from: Some(front),
+                    ..leaf.clone()
+                };
                 let (behind, ahead) = (self.leaf(side(false)), self.leaf(side(true)));
                 leaf.list = Rc::new(leaf.list[1..].to_vec());
                 let held = self.leaf(leaf);
-                self.nodes[at as usize] = Node::Start { face, from: [behind, held, ahead] };
+                self.nodes[at as usize] = Node::Start {
+                    face,
+                    from: [behind, held, ahead],
+                };
                 return Grown::Defined;
             }
         };
@@ -279,15 +307,40 @@ impl Partition {
     }
 
     /// Replaces a node by RP(S, T): a node for each edge of the face, which rays pass outside or inside.
-    fn chain(&mut self, at: u32, items: &Items<'_>, (item, face, front): (u32, u32, bool), leaf: &Undefined) {
+    fn chain(
+        &mut self,
+        at: u32,
+        items: &Items<'_>,
+        (item, face, front): (u32, u32, bool),
+        leaf: &Undefined,
+    ) {
         let edges = Edges::of(items, item, front);
-        let pending = Pending { item, front, inside: edges.count, outside: false, before: None };
+        let pending = Pending {
+            item,
+            front,
+            inside: edges.count,
+            outside: false,
+            before: None,
+        };
         let mut next = self.inner(items, (pending, face), leaf);
         for k in (0..edges.count).rev() {
             let (a, b) = edges.edge(k);
-            let pending = Pending { inside: k, outside: true, ..pending };
-            let outside = self.leaf(Undefined { pending: Some(pending), from: None, ..leaf.clone() });
-            let node = Node::Edge { a, b, inside: next, outside };
+            let pending = Pending {
+                inside: k,
+                outside: true,
+                ..pending
+            };
+            let outside = self.leaf(Undefined {
+                pending: Some(pending),
+                from: None,
+                ..leaf.clone()
+            });
+            let node = Node::Edge {
+                a,
+                b,
+                inside: next,
+                outside,
+            };
             if k == 0 {
                 self.nodes[at as usize] = node;
             } else {
@@ -297,12 +350,20 @@ impl Partition {
     }
 
     /// The class of the rays that all meet a face, and those of another class already if it has one.
-    fn inner(&mut self, items: &Items<'_>, (pending, face): (Pending, u32), leaf: &Undefined) -> u32 {
+    fn inner(
+        &mut self,
+        items: &Items<'_>,
+        (pending, face): (Pending, u32),
+        leaf: &Undefined,
+    ) -> u32 {
         let (whole, front) = (items.face(face), pending.front);
         // What a face hides from nearer by needs no look (`depthCulling`).
         let of = |face: (u32, bool), class| Undefined {
             list: Rc::clone(&leaf.list),
-            pending: Some(Pending { before: Some(face), ..pending }),
+            pending: Some(Pending {
+                before: Some(face),
+                ..pending
+            }),
             from: None,
             class,
         };
@@ -315,15 +376,23 @@ impl Partition {
             };
         }
         let this = (face, front);
-        let Some(other) = leaf.class else { return self.leaf(of(this, Some(this))) };
+        let Some(other) = leaf.class else {
+            return self.leaf(of(this, Some(this)));
+        };
         if is_behind(whole, front, items.corners(items.face(other.0).item)) {
             return self.leaf(of(this, Some(this)));
         }
         if is_behind(items.face(other.0), other.1, items.corners(pending.item)) {
             return self.leaf(of(other, Some(other)));
         }
-        let (one, two) = (self.leaf(of(this, Some(this))), self.leaf(of(other, Some(other))));
-        self.push(Node::Order { faces: [face, other.0], first: [one, two] })
+        let (one, two) = (
+            self.leaf(of(this, Some(this))),
+            self.leaf(of(other, Some(other))),
+        );
+        self.push(Node::Order {
+            faces: [face, other.0],
+            first: [one, two],
+        })
     }
 }
 
@@ -339,7 +408,12 @@ struct Edges {
 impl Edges {
     fn of(items: &Items<'_>, item: u32, front: bool) -> Self {
         let (first, count) = (items.first(item), items.corners(item).len() as u32);
-        Self { first, count, front, far: items.item(item).far }
+        Self {
+            first,
+            count,
+            front,
+            far: items.item(item).far,
+        }
     }
 
     /// The points of an edge. From the front the corners turn to the left as seen from the point, and so to

@@ -26,7 +26,10 @@ pub fn polygon(corners: &[DVec3]) -> Vec<Corner> {
     let next = |i: usize| corners[if i + 1 == n { 0 } else { i + 1 }];
     let corner = |i: usize| {
         let border = corners[i].cross(next(i)).try_normalize()?;
-        Some(Corner { at: corners[i], border })
+        Some(Corner {
+            at: corners[i],
+            border,
+        })
     };
     (0..n).filter_map(corner).collect()
 }
@@ -48,12 +51,24 @@ impl Plane {
     /// strips of at most that width, whose length is at most half of the polygon's outline and so twice its
     /// extent; and by no more than the polygon.
     pub fn uncertain(&self, corners: &[Corner]) -> f64 {
-        let Some(first) = corners.first() else { return 0.0 };
-        let extent = corners.iter().fold(0.0f64, |most, v| most.max((v.at - first.at).abs().element_sum()));
+        let Some(first) = corners.first() else {
+            return 0.0;
+        };
+        let extent = corners.iter().fold(0.0f64, |most, v| {
+            most.max((v.at - first.at).abs().element_sum())
+        });
         let size = self.m.length();
-        let strip = if size > self.error { (2.0 * extent).min(PI) * self.error / (size * PI) } else { 1.0 };
+        let strip = if size > self.error {
+            (2.0 * extent).min(PI) * self.error / (size * PI)
+        } else {
+            1.0
+        };
         // The area costs more to know.
-        if strip < LITTLE { strip } else { strip.min(most_area(corners)) }
+        if strip < LITTLE {
+            strip
+        } else {
+            strip.min(most_area(corners))
+        }
     }
 }
 
@@ -63,7 +78,9 @@ const LITTLE: f64 = 1e-13;
 /// Bound on the area of a polygon of at most a quarter of the sphere, divided by π: that of the triangles of
 /// a fan on the planes through their first corners, which stand over them.
 fn most_area(corners: &[Corner]) -> f64 {
-    let [first, rest @ ..] = corners else { return 0.0 };
+    let [first, rest @ ..] = corners else {
+        return 0.0;
+    };
     let fan = rest.windows(2).map(|w| {
         let (p, q) = (w[0].at - first.at, w[1].at - first.at);
         // A spherical triangle of a quarter of the sphere is less than 3 times as large as its flat one.
@@ -88,8 +105,11 @@ pub enum Side {
 pub fn side(plane: &Plane, corners: &[Corner], values: &mut Vec<f64>) -> Side {
     values.clear();
     values.extend(corners.iter().map(|v| plane.m.dot(v.at)));
-    let (least, most) =
-        values.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| (l.min(*d), m.max(*d)));
+    let (least, most) = values
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| {
+            (l.min(*d), m.max(*d))
+        });
     let e = plane.error;
     if least >= -e && (most > e || most >= -least) {
         Side::Inside(least <= e)
@@ -116,16 +136,30 @@ pub fn split(
         let (w, f) = (&corners[next], values[next]);
         if *d >= -e {
             let leaves = *d <= e && f < -e;
-            inside.push(if leaves { Corner { border: cut, ..*v } } else { *v });
+            inside.push(if leaves {
+                Corner { border: cut, ..*v }
+            } else {
+                *v
+            });
         }
         if *d <= e {
             let leaves = *d >= -e && f > e;
-            outside.push(if leaves { Corner { border: -cut, ..*v } } else { *v });
+            outside.push(if leaves {
+                Corner { border: -cut, ..*v }
+            } else {
+                *v
+            });
         }
         if (*d > e && f < -e) || (*d < -e && f > e) {
             // The point of the border from v to w on the plane.
             let at = (v.at * f.abs() + w.at * d.abs()).normalize();
-            let (along, across) = (Corner { at, border: v.border }, |border| Corner { at, border });
+            let (along, across) = (
+                Corner {
+                    at,
+                    border: v.border,
+                },
+                |border| Corner { at, border },
+            );
             if *d > e {
                 inside.push(across(cut));
                 outside.push(along);

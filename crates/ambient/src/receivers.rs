@@ -45,7 +45,8 @@ impl Source {
         let origin = ((min + max) * 0.5).as_vec3().as_dvec3();
         // Rounding of a point's coordinates, of its difference from the origin, and of the turn to a frame
         // and back.
-        let slack = 4.0 * U * min.abs().max(max.abs()).max_element() + 64.0 * U * (max - min).length();
+        let slack =
+            4.0 * U * min.abs().max(max.abs()).max_element() + 64.0 * U * (max - min).length();
         let first = receivers.first().map_or(DVec3::Z, |r| r.normal);
         let same = receivers.iter().all(|r| r.normal == first);
         let w = first.normalize();
@@ -64,7 +65,14 @@ impl Source {
             }
         }
         let radius = corners.iter().fold(0.0f64, |r, c| r.max(c.length())) + slack;
-        Self { origin, corners, radius, slack, normal: same.then_some(w), lowest: least.z - slack }
+        Self {
+            origin,
+            corners,
+            radius,
+            slack,
+            normal: same.then_some(w),
+            lowest: least.z - slack,
+        }
     }
 }
 
@@ -136,7 +144,11 @@ mod tests {
         let receivers: Vec<Receiver> = (0..1000)
             .map(|i| {
                 let (x, y) = (f64::from(i % 40), f64::from(i / 40));
-                Receiver { point: DVec3::new(x, y, 0.0), normal: DVec3::Z, triangle: None }
+                Receiver {
+                    point: DVec3::new(x, y, 0.0),
+                    normal: DVec3::Z,
+                    triangle: None,
+                }
             })
             .collect();
         let blocks = blocks(&receivers, |_| None, 64, 12.0);

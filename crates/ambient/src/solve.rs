@@ -86,8 +86,14 @@ impl Prepared {
     /// When the scene has more corners than can be numbered, or an alpha texture is repeated too often.
     pub fn new(scene: &Scene, fragments: bool) -> Result<Self, SceneError> {
         let joined = Blockers::new(scene, None)?;
-        let single = fragments.then(|| Blockers::new(scene, Some(&joined))).transpose()?;
-        Ok(Self { joined, single, inside: Inside::new(scene)? })
+        let single = fragments
+            .then(|| Blockers::new(scene, Some(&joined)))
+            .transpose()?;
+        Ok(Self {
+            joined,
+            single,
+            inside: Inside::new(scene)?,
+        })
     }
 
     /// Whether a receiver, a hair above its surface, is inside of a closed solid.
@@ -114,7 +120,13 @@ impl<'a> Solver<'a> {
     /// Answers with these settings. Fragments are told only of a scene that is prepared for them.
     pub fn new(prepared: &'a Prepared, settings: Settings) -> Self {
         let fragments = settings.fragments && prepared.single.is_some();
-        Self { prepared, settings: Settings { fragments, ..settings } }
+        Self {
+            prepared,
+            settings: Settings {
+                fragments,
+                ..settings
+            },
+        }
     }
 
     /// The settings.
@@ -138,14 +150,19 @@ impl<'a> Solver<'a> {
             // Some take much longer than others.
             .with_max_len(1)
             .map_init(Memory::default, |memory, block| {
-                let receivers: Vec<Receiver> = block.iter().map(|i| receivers[*i as usize]).collect();
+                let receivers: Vec<Receiver> =
+                    block.iter().map(|i| receivers[*i as usize]).collect();
                 let answers = self.block(&receivers, memory);
                 done(receivers.len());
                 answers
             })
             .collect();
         let mut all = vec![Answer::default(); receivers.len()];
-        for (i, answer) in blocks.into_iter().flatten().zip(answers.into_iter().flatten()) {
+        for (i, answer) in blocks
+            .into_iter()
+            .flatten()
+            .zip(answers.into_iter().flatten())
+        {
             all[i as usize] = answer;
         }
         all
@@ -171,32 +188,73 @@ impl<'a> Solver<'a> {
 
     /// Adds answers for the first receivers of a part of a block: for all, unless they see too little alike.
     fn part(&self, receivers: &[Receiver], memory: &mut Memory, all: &mut Vec<Answer>) {
-        let Settings { distance, falloff, fragments, .. } = self.settings;
+        let Settings {
+            distance,
+            falloff,
+            fragments,
+            ..
+        } = self.settings;
         let union = falloff == Falloff::None && !fragments;
         let joined = &self.prepared.joined;
-        let blockers = self.prepared.single.as_ref().filter(|_| fragments).unwrap_or(joined);
+        let blockers = self
+            .prepared
+            .single
+            .as_ref()
+            .filter(|_| fragments)
+            .unwrap_or(joined);
         let source = Source::around(receivers);
-        let own = receivers.first().and_then(|r| r.triangle).and_then(|t| joined.of(t));
+        let own = receivers
+            .first()
+            .and_then(|r| r.triangle)
+            .and_then(|t| joined.of(t));
         let mut items = Items::new(blockers, &source, Reach::Distance(distance), own);
         let root = items.begin(OPEN_FAR);
         let mut tree = Partition::new(if union { Tells::Union } else { Tells::First }, root);
-        let Memory { scratch, seen, cuts } = memory;
+        let Memory {
+            scratch,
+            seen,
+            cuts,
+        } = memory;
         seen.clear();
         let mut answers: Vec<Answer> = Vec::new();
         // One receiver sees alike, whatever it takes.
-        let most_told = if receivers.len() > 1 { TOLD * receivers.len() } else { usize::MAX };
+        let most_told = if receivers.len() > 1 {
+            TOLD * receivers.len()
+        } else {
+            usize::MAX
+        };
         for r in receivers {
-            let mut rays =
-                Rays { tree: &mut tree, items: &mut items, source: &source, bytes: BYTES, most_told };
+            let mut rays = Rays {
+                tree: &mut tree,
+                items: &mut items,
+                source: &source,
+                bytes: BYTES,
+                most_told,
+            };
             let answer = if union {
                 open(&mut rays, r, scratch, (seen, cuts)).map(|openness| (openness, Vec::new()))
             } else {
-                first(&mut rays, r, (distance, falloff, fragments), scratch, (seen, cuts))
+                first(
+                    &mut rays,
+                    r,
+                    (distance, falloff, fragments),
+                    scratch,
+                    (seen, cuts),
+                )
             };
-            let Some((openness, mut found)) = answer else { break };
-            found.iter_mut().for_each(|f| f.polygon = blockers.triangle(f.polygon));
+            let Some((openness, mut found)) = answer else {
+                break;
+            };
+            found
+                .iter_mut()
+                .for_each(|f| f.polygon = blockers.triangle(f.polygon));
             let inside = self.prepared.is_inside(r);
-            answers.push(Answer { openness, inside, lights: Vec::new(), fragments: found });
+            answers.push(Answer {
+                openness,
+                inside,
+                lights: Vec::new(),
+                fragments: found,
+            });
         }
         let receivers = &receivers[..answers.len()];
         for light in &self.settings.lights {
@@ -227,9 +285,15 @@ mod tests {
         let mut point = |size: f32| Vec3::new(number(), number(), number()) * size;
         let triangles = (0..count).map(|_| {
             let at = point(20.0);
-            Triangle { v: [at, at + point(1.0), at + point(1.0)] }
+            Triangle {
+                v: [at, at + point(1.0), at + point(1.0)],
+            }
         });
-        let object = Object { name: "cloud".to_owned(), first: 0, count };
+        let object = Object {
+            name: "cloud".to_owned(),
+            first: 0,
+            count,
+        };
         Scene::new("cloud", triangles.collect(), vec![object]).unwrap()
     }
 
@@ -237,8 +301,19 @@ mod tests {
     fn items_count_as_memory_and_are_forgotten_between_queries() {
         let blockers = Blockers::new(&cloud(3000), None).unwrap();
         // They look all around, so that each opens other boxes.
-        let ways = [DVec3::X, DVec3::Y, DVec3::Z, -DVec3::X, -DVec3::Y, -DVec3::Z];
-        let receivers = ways.map(|normal| Receiver { point: normal * 0.25, normal, triangle: None });
+        let ways = [
+            DVec3::X,
+            DVec3::Y,
+            DVec3::Z,
+            -DVec3::X,
+            -DVec3::Y,
+            -DVec3::Z,
+        ];
+        let receivers = ways.map(|normal| Receiver {
+            point: normal * 0.25,
+            normal,
+            triangle: None,
+        });
         let source = Source::around(&receivers);
         for tells in [Tells::Union, Tells::First] {
             let solve = |bytes: usize| {
@@ -246,17 +321,29 @@ mod tests {
                 let root = items.begin(OPEN_FAR);
                 let begun = items.bytes();
                 let mut tree = Partition::new(tells, root);
-                let Memory { mut scratch, mut seen, mut cuts } = Memory::default();
+                let Memory {
+                    mut scratch,
+                    mut seen,
+                    mut cuts,
+                } = Memory::default();
                 let (mut most, mut shrunk, mut answers) = (0, 0, Vec::new());
                 for r in &receivers {
                     let before = items.bytes();
                     let (tree, source, items) = (&mut tree, &source, &mut items);
-                    let mut rays = Rays { tree, items, source, bytes, most_told: usize::MAX };
+                    let mut rays = Rays {
+                        tree,
+                        items,
+                        source,
+                        bytes,
+                        most_told: usize::MAX,
+                    };
                     let room = (&mut seen, &mut cuts);
                     answers.push(match tells {
                         Tells::Union => open(&mut rays, r, &mut scratch, room).unwrap(),
                         Tells::First => {
-                            first(&mut rays, r, (8.0, Falloff::None, true), &mut scratch, room).unwrap().0
+                            first(&mut rays, r, (8.0, Falloff::None, true), &mut scratch, room)
+                                .unwrap()
+                                .0
                         }
                     });
                     most = most.max(items.bytes() + tree.bytes());
@@ -269,7 +356,10 @@ mod tests {
             };
             let (roomy, all, never) = solve(usize::MAX);
             let (tight, less, often) = solve(all / 4);
-            assert!(never == 0 && often > 0 && less < all, "{never} {often}, {less} of {all} bytes");
+            assert!(
+                never == 0 && often > 0 && less < all,
+                "{never} {often}, {less} of {all} bytes"
+            );
             for (a, b) in roomy.iter().zip(&tight) {
                 // Which of two occluders ends a class, one behind the other, is the tree's choice.
                 assert!((a.open - b.open).abs() <= a.bound + b.bound, "{a:?} {b:?}");

@@ -16,8 +16,17 @@ use sightline_scene::{Kind, Kinds, Object, Scene, Triangle};
 const NEAR: f64 = 1e-6;
 
 fn scene(triangles: &[[DVec3; 3]]) -> Scene {
-    let triangles: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(DVec3::as_vec3) }).collect();
-    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+    let triangles: Vec<Triangle> = triangles
+        .iter()
+        .map(|t| Triangle {
+            v: t.map(DVec3::as_vec3),
+        })
+        .collect();
+    let object = Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
@@ -29,19 +38,27 @@ fn quad(at: DVec3, u: DVec3, v: DVec3) -> [[DVec3; 3]; 2] {
 fn rectangle(min: [f64; 3], max: [f64; 3]) -> Vec<[DVec3; 3]> {
     let (min, max) = (DVec3::from(min), DVec3::from(max));
     let d = max - min;
-    let axes: Vec<DVec3> =
-        [DVec3::X * d.x, DVec3::Y * d.y, DVec3::Z * d.z].into_iter().filter(|a| *a != DVec3::ZERO).collect();
+    let axes: Vec<DVec3> = [DVec3::X * d.x, DVec3::Y * d.y, DVec3::Z * d.z]
+        .into_iter()
+        .filter(|a| *a != DVec3::ZERO)
+        .collect();
     quad(min, axes[0], axes[1]).to_vec()
 }
 
 fn answer(triangles: &[[DVec3; 3]], settings: Settings, receiver: Receiver) -> Answer {
     let prepared = Prepared::new(&scene(triangles), settings.fragments).unwrap();
-    Solver::new(&prepared, settings).solve(&[receiver], |_| {}).remove(0)
+    Solver::new(&prepared, settings)
+        .solve(&[receiver], |_| {})
+        .remove(0)
 }
 
 /// A receiver at the origin that looks up.
 fn up() -> Receiver {
-    Receiver { point: DVec3::ZERO, normal: DVec3::Z, triangle: None }
+    Receiver {
+        point: DVec3::ZERO,
+        normal: DVec3::Z,
+        triangle: None,
+    }
 }
 
 /// The openness of the point at the origin looking up, as it is and in other frames; all must agree.
@@ -58,13 +75,23 @@ fn open_within(triangles: &[[DVec3; 3]], distance: f64, near: f64) -> f64 {
     ] {
         let turn = DMat3::from_quat(DQuat::from_axis_angle(axis.normalize(), angle)) * scale;
         let moved: Vec<[DVec3; 3]> = triangles.iter().map(|t| t.map(|v| turn * v)).collect();
-        let receiver = Receiver { point: DVec3::ZERO, normal: turn * DVec3::Z, triangle: None };
+        let receiver = Receiver {
+            point: DVec3::ZERO,
+            normal: turn * DVec3::Z,
+            triangle: None,
+        };
         for fragments in [false, true] {
-            let settings = Settings { fragments, ..Settings::new(distance * scale) };
+            let settings = Settings {
+                fragments,
+                ..Settings::new(distance * scale)
+            };
             let answer = answer(&moved, settings, receiver);
             let expected = *first.get_or_insert(answer.openness.open);
             let Openness { open, bound, .. } = answer.openness;
-            assert!((open - expected).abs() < near, "{open} and {expected}, fragments {fragments}");
+            assert!(
+                (open - expected).abs() < near,
+                "{open} and {expected}, fragments {fragments}"
+            );
             assert!(bound < 1e-8, "{bound}");
             if fragments {
                 let sum: f64 = answer.fragments.iter().map(|f| f.factor).sum();
@@ -98,11 +125,17 @@ fn rectangles_above_and_beside_have_howells_factors() {
     let (x, y) = (a / c, b / c);
     let (p, q) = (x.hypot(1.0), y.hypot(1.0));
     let above = (x / p * (y / p).atan() + y / q * (x / q).atan()) / (2.0 * PI);
-    assert_near(open(&rectangle([0.0, 0.0, c], [a, b, c]), f64::INFINITY), 1.0 - above);
+    assert_near(
+        open(&rectangle([0.0, 0.0, c], [a, b, c]), f64::INFINITY),
+        1.0 - above,
+    );
     // At a right angle to it, its foot at a distance (B-4).
     let (x, y) = (a / b, c / b);
     let beside = ((1.0 / y).atan() - y / x.hypot(y) * (1.0 / x.hypot(y)).atan()) / (2.0 * PI);
-    assert_near(open(&rectangle([c, 0.0, 0.0], [c, b, a]), f64::INFINITY), 1.0 - beside);
+    assert_near(
+        open(&rectangle([c, 0.0, 0.0], [c, b, a]), f64::INFINITY),
+        1.0 - beside,
+    );
 }
 
 #[test]
@@ -115,7 +148,10 @@ fn a_polygon_lies_between_its_disks() {
     let fan: Vec<[DVec3; 3]> = (0..n).map(|k| [DVec3::Z * h, at(k), at(k + 1)]).collect();
     let disk = |r: f64| 1.0 - r * r / (r * r + h * h);
     let value = open(&fan, f64::INFINITY);
-    assert!(disk(r) < value && value < disk(r * (PI / f64::from(n)).cos()), "{value}");
+    assert!(
+        disk(r) < value && value < disk(r * (PI / f64::from(n)).cos()),
+        "{value}"
+    );
 }
 
 #[test]
@@ -137,10 +173,15 @@ fn a_sphere_has_its_square_of_distances() {
         }
     }
     all.retain(|t| (t[1] - t[0]).cross(t[2] - t[0]).length() > 1e-9);
-    let value = answer(&all, Settings::new(f64::INFINITY), up()).openness.open;
+    let value = answer(&all, Settings::new(f64::INFINITY), up())
+        .openness
+        .open;
     let expected = 1.0 - radius * radius * tilt.cos() / (away * away);
     // Chords lie inside of the sphere.
-    assert!(expected <= value && value < expected + 3e-4, "{value} {expected}");
+    assert!(
+        expected <= value && value < expected + 3e-4,
+        "{value} {expected}"
+    );
 }
 
 #[test]
@@ -149,8 +190,16 @@ fn a_valley_leaves_the_sky_between_its_slopes() {
     let (slope, width, long) = (0.9f64, 1.0f64, 1e5f64);
     let far = 1e5;
     let (s, c) = slope.sin_cos();
-    let right = quad(DVec3::new(width, -long, 0.0), DVec3::Y * 2.0 * long, DVec3::new(c, 0.0, s) * far);
-    let left = quad(DVec3::new(-width, -long, 0.0), DVec3::Y * 2.0 * long, DVec3::new(-c, 0.0, s) * far);
+    let right = quad(
+        DVec3::new(width, -long, 0.0),
+        DVec3::Y * 2.0 * long,
+        DVec3::new(c, 0.0, s) * far,
+    );
+    let left = quad(
+        DVec3::new(-width, -long, 0.0),
+        DVec3::Y * 2.0 * long,
+        DVec3::new(-c, 0.0, s) * far,
+    );
     let value = open(&[right, left].concat(), f64::INFINITY);
     assert!((value - slope.cos()).abs() < 1e-4, "{value}");
 }
@@ -172,7 +221,10 @@ fn a_closed_box_is_dark_and_a_hole_lights_it() {
     let closed = walls([-1.0, -2.0, -0.5], [1.5, 1.0, 2.0]);
     assert!(open(&closed, f64::INFINITY).abs() < 1e-12);
     // The ceiling, z = 2, with a hole of 0.5 by 0.5 above the point's corner.
-    let mut holed: Vec<[DVec3; 3]> = closed.into_iter().filter(|t| t.iter().any(|v| v.z != 2.0)).collect();
+    let mut holed: Vec<[DVec3; 3]> = closed
+        .into_iter()
+        .filter(|t| t.iter().any(|v| v.z != 2.0))
+        .collect();
     for (min, max) in [
         ([-1.0, -2.0, 2.0], [0.0, 1.0, 2.0]),
         ([0.5, -2.0, 2.0], [1.5, 1.0, 2.0]),
@@ -197,7 +249,9 @@ fn slits_are_seen_to_a_thousandth() {
             rectangle([width / 2.0, -far, 1.0], [far, far, 1.0]),
         ]
         .concat();
-        let value = answer(&plates, Settings::new(f64::INFINITY), up()).openness.open;
+        let value = answer(&plates, Settings::new(f64::INFINITY), up())
+            .openness
+            .open;
         // The strip's factor, and what the plates leave at the horizon.
         let half = f64::from((width / 2.0) as f32);
         let strip = half / half.hypot(1.0);
@@ -206,7 +260,10 @@ fn slits_are_seen_to_a_thousandth() {
             let p = x.hypot(1.0);
             1.0 - 4.0 * (2.0 * (x / p * (x / p).atan()) / (2.0 * PI))
         };
-        assert!((value - strip - beyond).abs() < 1e-3 * strip, "{value} {strip} {beyond}");
+        assert!(
+            (value - strip - beyond).abs() < 1e-3 * strip,
+            "{value} {strip} {beyond}"
+        );
     }
 }
 
@@ -226,11 +283,27 @@ fn what_covers_the_same_picture_again_changes_nothing() {
 #[test]
 fn crossing_quads_hide_their_union() {
     // Two squares that cross along a line above the point, and their union in pieces that do not cross.
-    let a = quad(DVec3::new(-1.0, -1.0, 1.0), DVec3::X * 2.0, DVec3::new(0.0, 2.0, 1.0));
-    let b = quad(DVec3::new(-1.0, -1.0, 2.0), DVec3::X * 2.0, DVec3::new(0.0, 2.0, -1.0));
+    let a = quad(
+        DVec3::new(-1.0, -1.0, 1.0),
+        DVec3::X * 2.0,
+        DVec3::new(0.0, 2.0, 1.0),
+    );
+    let b = quad(
+        DVec3::new(-1.0, -1.0, 2.0),
+        DVec3::X * 2.0,
+        DVec3::new(0.0, 2.0, -1.0),
+    );
     let crossing = open(&[a, b].concat(), f64::INFINITY);
-    let lower = quad(DVec3::new(-1.0, -1.0, 1.0), DVec3::X * 2.0, DVec3::new(0.0, 1.0, 0.5));
-    let upper = quad(DVec3::new(-1.0, 0.0, 1.5), DVec3::X * 2.0, DVec3::new(0.0, 1.0, -0.5));
+    let lower = quad(
+        DVec3::new(-1.0, -1.0, 1.0),
+        DVec3::X * 2.0,
+        DVec3::new(0.0, 1.0, 0.5),
+    );
+    let upper = quad(
+        DVec3::new(-1.0, 0.0, 1.5),
+        DVec3::X * 2.0,
+        DVec3::new(0.0, 1.0, -0.5),
+    );
     assert_near(crossing, open(&[lower, upper].concat(), f64::INFINITY));
 }
 
@@ -241,7 +314,12 @@ fn a_plane_within_the_distance_takes_a_circle() {
     assert_near(open(&ceiling, d), (h / d) * (h / d));
     assert_near(open(&ceiling, 0.6), 1.0);
     // Two layers, and a doubled one.
-    let two = [ceiling.clone(), rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]), ceiling].concat();
+    let two = [
+        ceiling.clone(),
+        rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]),
+        ceiling,
+    ]
+    .concat();
     assert_near(open(&two, d), (h / d) * (h / d));
 }
 
@@ -250,7 +328,10 @@ fn a_wall_within_the_distance_takes_a_segment() {
     let (h, d) = (0.7f64, 2.0f64);
     let wall = rectangle([h, -10.0, 0.0], [h, 10.0, 10.0]);
     let alpha = (h / d).acos();
-    assert_near(open(&wall, d), 1.0 - (alpha - alpha.sin() * alpha.cos()) / PI);
+    assert_near(
+        open(&wall, d),
+        1.0 - (alpha - alpha.sin() * alpha.cos()) / PI,
+    );
 }
 
 #[test]
@@ -261,21 +342,31 @@ fn many_triangles_hide_what_their_square_hides() {
     let n = 14usize;
     let mut state = 1u64;
     let mut random = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
         (state >> 33) as f64 / (1u64 << 31) as f64 - 0.5
     };
     let mut grid = vec![vec![DVec3::ZERO; n + 1]; n + 1];
     for (i, row) in grid.iter_mut().enumerate() {
         for (j, corner) in row.iter_mut().enumerate() {
             let inner = |k: usize| if k == 0 || k == n { 0.0 } else { 0.6 };
-            let (x, y) = (i as f64 + inner(i) * random(), j as f64 + inner(j) * random());
+            let (x, y) = (
+                i as f64 + inner(i) * random(),
+                j as f64 + inner(j) * random(),
+            );
             *corner = DVec3::new(-0.5 + 2.0 * x / n as f64, -1.0 + 2.0 * y / n as f64, 1.0);
         }
     }
     let mut all = Vec::new();
     for i in 0..n {
         for j in 0..n {
-            let [a, b, c, d] = [grid[i][j], grid[i + 1][j], grid[i + 1][j + 1], grid[i][j + 1]];
+            let [a, b, c, d] = [
+                grid[i][j],
+                grid[i + 1][j],
+                grid[i + 1][j + 1],
+                grid[i][j + 1],
+            ];
             all.extend([[a, b, c], [a, c, d]]);
         }
     }
@@ -298,9 +389,15 @@ fn falloff_lightens_by_the_root_of_the_distance() {
     let (h, d) = (0.7f64, 2.0f64);
     let c = h / d;
     let expected = 4.0 / 3.0 * c.sqrt() - c * c / 3.0;
-    let settings = Settings { falloff: Falloff::Sqrt, ..Settings::new(d) };
+    let settings = Settings {
+        falloff: Falloff::Sqrt,
+        ..Settings::new(d)
+    };
     let ceiling = rectangle([-10.0, -10.0, h], [10.0, 10.0, h]);
-    assert_near(answer(&ceiling, settings.clone(), up()).openness.open, expected);
+    assert_near(
+        answer(&ceiling, settings.clone(), up()).openness.open,
+        expected,
+    );
     // What is behind it changes nothing, nor does its division, nor what it is doubled by.
     let mut more = ceiling.clone();
     more.extend(rectangle([-10.0, -10.0, 0.9], [10.0, 10.0, 0.9]));
@@ -316,7 +413,10 @@ fn half_a_light_is_seen_past_a_wall() {
     let (x, p) = (a / h, (a / h).hypot(1.0));
     let whole = 4.0 * (2.0 * (x / p * (x / p).atan()) / (2.0 * PI));
     let lit = |triangles: &[[DVec3; 3]]| {
-        let settings = Settings { lights: vec![light.clone()], ..Settings::new(0.5) };
+        let settings = Settings {
+            lights: vec![light.clone()],
+            ..Settings::new(0.5)
+        };
         answer(triangles, settings, up()).lights[0]
     };
     let aside = rectangle([50.0, 50.0, 0.0], [51.0, 51.0, 0.0]);
@@ -327,7 +427,11 @@ fn half_a_light_is_seen_past_a_wall() {
     // light's own face in the scene hides nothing.
     assert_near(lit(&rectangle([-5.0, -5.0, 3.0], [5.0, 5.0, 3.0])), whole);
     assert_near(lit(&rectangle([-a, -a, h], [a, a, h])), whole);
-    let crossing = quad(DVec3::new(0.0, -5.0, 1.0), DVec3::Y * 10.0, DVec3::new(3.0, 0.0, 9.0));
+    let crossing = quad(
+        DVec3::new(0.0, -5.0, 1.0),
+        DVec3::Y * 10.0,
+        DVec3::new(3.0, 0.0, 9.0),
+    );
     let seen = lit(&crossing);
     assert!(seen > whole / 2.0 && seen < whole, "{seen} {whole}");
 }
@@ -337,12 +441,28 @@ fn points_in_a_closed_solid_are_inside() {
     let closed = |outward: bool| {
         let turn = |t: [DVec3; 3]| {
             let (n, c) = ((t[1] - t[0]).cross(t[2] - t[0]), t[0] + t[1] + t[2]);
-            if (n.dot(c) > 0.0) == outward { t } else { [t[0], t[2], t[1]] }
+            if (n.dot(c) > 0.0) == outward {
+                t
+            } else {
+                [t[0], t[2], t[1]]
+            }
         };
-        walls([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]).into_iter().map(turn).collect::<Vec<_>>()
+        walls([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0])
+            .into_iter()
+            .map(turn)
+            .collect::<Vec<_>>()
     };
     let at = |triangles: &[[DVec3; 3]], point: DVec3, normal: DVec3| {
-        answer(triangles, Settings::new(f64::INFINITY), Receiver { point, normal, triangle: None }).inside
+        answer(
+            triangles,
+            Settings::new(f64::INFINITY),
+            Receiver {
+                point,
+                normal,
+                triangle: None,
+            },
+        )
+        .inside
     };
     let (solid, room) = (closed(true), closed(false));
     assert!(at(&solid, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
@@ -353,18 +473,33 @@ fn points_in_a_closed_solid_are_inside() {
     // A room is no solid.
     assert!(!at(&room, DVec3::new(0.1, 0.2, 0.3), DVec3::Z));
     // Nor is what a pane closes.
-    let runs = [(solid.len() as u32 - 1, Kind::Opaque, "a test"), (1, Kind::SeeThrough, "a test")];
-    let pane = scene(&solid).with_kinds("test", Kinds::from_runs(runs, Vec::new())).unwrap();
+    let runs = [
+        (solid.len() as u32 - 1, Kind::Opaque, "a test"),
+        (1, Kind::SeeThrough, "a test"),
+    ];
+    let pane = scene(&solid)
+        .with_kinds("test", Kinds::from_runs(runs, Vec::new()))
+        .unwrap();
     let prepared = Prepared::new(&pane, false).unwrap();
-    let point = Receiver { point: DVec3::new(0.1, 0.2, 0.3), normal: DVec3::Z, triangle: None };
-    let answer = Solver::new(&prepared, Settings::new(f64::INFINITY)).solve(&[point], |_| {}).remove(0);
+    let point = Receiver {
+        point: DVec3::new(0.1, 0.2, 0.3),
+        normal: DVec3::Z,
+        triangle: None,
+    };
+    let answer = Solver::new(&prepared, Settings::new(f64::INFINITY))
+        .solve(&[point], |_| {})
+        .remove(0);
     assert!(!answer.inside);
 }
 
 /// Asserts that a value is right to its own bound, for coordinates that single precision holds.
 fn assert_bounded(answer: &Answer, expected: f64) {
     let Openness { open, bound, .. } = answer.openness;
-    assert!((open - expected).abs() <= bound + 1e-15, "{open} is off by {:e}, {bound:e}", open - expected);
+    assert!(
+        (open - expected).abs() <= bound + 1e-15,
+        "{open} is off by {:e}, {bound:e}",
+        open - expected
+    );
 }
 
 #[test]
@@ -372,11 +507,18 @@ fn circles_that_touch_borders_are_right_to_their_bounds() {
     // A ceiling at the height 3 that ends at x = 4, where the circle of the distance 5 does.
     let ceiling = rectangle([-32.0, -32.0, 3.0], [4.0, 32.0, 3.0]);
     for fragments in [false, true] {
-        let settings = Settings { fragments, ..Settings::new(5.0) };
+        let settings = Settings {
+            fragments,
+            ..Settings::new(5.0)
+        };
         assert_bounded(&answer(&ceiling, settings, up()), 0.36);
     }
     // Two ceilings whose circles touch each other.
-    let tilted = quad(DVec3::new(-64.0, -64.0, -45.0), DVec3::Y * 128.0, DVec3::new(64.0, 0.0, 48.0));
+    let tilted = quad(
+        DVec3::new(-64.0, -64.0, -45.0),
+        DVec3::Y * 128.0,
+        DVec3::new(64.0, 0.0, 48.0),
+    );
     let both = [ceiling, tilted.to_vec()].concat();
     let joint = answer(&both, Settings::new(5.0), up());
     assert!(joint.openness.open <= 0.36 + joint.openness.bound);
@@ -391,7 +533,10 @@ fn large_planes_close_by_are_right_to_their_bounds() {
         DVec3::new(0.0, 16384.0, height),
     ]];
     for fragments in [false, true] {
-        let settings = Settings { fragments, ..Settings::new(d) };
+        let settings = Settings {
+            fragments,
+            ..Settings::new(d)
+        };
         assert_bounded(&answer(&plane, settings, up()), 0.25);
     }
 }
@@ -405,7 +550,10 @@ fn bound_beside_edge_grows_as_distance_shrinks() {
     let mut last = 0.0;
     for power in 3..=12 {
         let d = 10f64.powi(-power);
-        let receiver = Receiver { point: DVec3::new(-d, 0.0, 0.0), ..up() };
+        let receiver = Receiver {
+            point: DVec3::new(-d, 0.0, 0.0),
+            ..up()
+        };
         let answer = answer(&wall, Settings::new(f64::INFINITY), receiver);
         let slope = d.hypot(high);
         let hidden = ((wide / d).atan() - d / slope * (wide / slope).atan()) / PI;
@@ -429,7 +577,10 @@ fn triangles_that_points_lie_on_hide_nothing_from_them() {
     };
     let up = |x, y, triangle| at(x, y, 0.1, DVec3::Z, triangle);
     for fragments in [false, true] {
-        let settings = Settings { fragments, ..Settings::new(10.0) };
+        let settings = Settings {
+            fragments,
+            ..Settings::new(10.0)
+        };
         let prepared = Prepared::new(&scene(&floor), fragments).unwrap();
         let solver = Solver::new(&prepared, settings.clone());
         for answer in solver.solve(&[up(0.7, 0.2, 0), up(0.2, 0.7, 1)], |_| {}) {
@@ -451,8 +602,10 @@ fn a_point_on_a_solid_is_not_in_it() {
     let cube: Vec<[DVec3; 3]> = walls([0.0, 0.0, 0.0], [0.1, 0.1, 0.1])
         .into_iter()
         .map(|t| {
-            let outwards =
-                (t[1] - t[0]).cross(t[2] - t[0]).dot(t[0] + t[1] + t[2] - DVec3::splat(0.15)) > 0.0;
+            let outwards = (t[1] - t[0])
+                .cross(t[2] - t[0])
+                .dot(t[0] + t[1] + t[2] - DVec3::splat(0.15))
+                > 0.0;
             if outwards { t } else { [t[0], t[2], t[1]] }
         })
         .collect();
@@ -464,9 +617,15 @@ fn a_point_on_a_solid_is_not_in_it() {
     for (triangle, inside) in [(id, false), (id + 1, false)] {
         // The one of the two that the point is on.
         let [a, b, c] = cube[triangle as usize];
-        let on = [(a, b), (b, c), (c, a)].iter().all(|(p, q)| (*q - *p).cross(point - *p).z > 0.0);
+        let on = [(a, b), (b, c), (c, a)]
+            .iter()
+            .all(|(p, q)| (*q - *p).cross(point - *p).z > 0.0);
         if on {
-            let receiver = Receiver { point, normal: DVec3::Z, triangle: Some(triangle) };
+            let receiver = Receiver {
+                point,
+                normal: DVec3::Z,
+                triangle: Some(triangle),
+            };
             assert_eq!(answer(&cube, Settings::new(1.0), receiver).inside, inside);
         }
     }
@@ -474,9 +633,17 @@ fn a_point_on_a_solid_is_not_in_it() {
 
 #[test]
 fn a_light_with_corners_close_together_is_hidden_as_any() {
-    let light =
-        Light::new(&[[0.0, 0.0, 10.0], [1.0, 0.0, 10.0], [1.0, 1.0, 10.0], [0.0, 1e-20, 10.0]]).unwrap();
-    let settings = Settings { lights: vec![light], ..Settings::new(1.0) };
+    let light = Light::new(&[
+        [0.0, 0.0, 10.0],
+        [1.0, 0.0, 10.0],
+        [1.0, 1.0, 10.0],
+        [0.0, 1e-20, 10.0],
+    ])
+    .unwrap();
+    let settings = Settings {
+        lights: vec![light],
+        ..Settings::new(1.0)
+    };
     let wall = rectangle([-5.0, -5.0, 5.0], [5.0, 5.0, 5.0]);
     assert!(answer(&wall, settings.clone(), up()).lights[0] < 1e-12);
     let aside = rectangle([50.0, 50.0, 5.0], [51.0, 51.0, 5.0]);

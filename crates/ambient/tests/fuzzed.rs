@@ -48,7 +48,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -81,10 +82,17 @@ fn mutate(r: &mut Random, seed: &str) -> Vec<u8> {
             }
             _ => {
                 // A number becomes another.
-                let Some(start) = bytes[at..].iter().position(u8::is_ascii_digit).map(|p| p + at) else {
+                let Some(start) = bytes[at..]
+                    .iter()
+                    .position(u8::is_ascii_digit)
+                    .map(|p| p + at)
+                else {
                     continue;
                 };
-                let len = bytes[start..].iter().take_while(|c| c.is_ascii_digit()).count();
+                let len = bytes[start..]
+                    .iter()
+                    .take_while(|c| c.is_ascii_digit())
+                    .count();
                 bytes.splice(start..start + len, NUMBERS[r.below(NUMBERS.len())].bytes());
             }
         }
@@ -95,7 +103,10 @@ fn mutate(r: &mut Random, seed: &str) -> Vec<u8> {
 #[test]
 fn inputs_that_once_crashed_do_not() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
-    let mut kept: Vec<_> = std::fs::read_dir(crashes).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut kept: Vec<_> = std::fs::read_dir(crashes)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     kept.sort();
     assert!(!kept.is_empty(), "the folder has a README at least");
     for path in kept {
@@ -111,9 +122,14 @@ fn mutated_points_and_lights_have_answers_or_are_refused() {
         for (s, line) in seed.lines().chain([seed]).enumerate() {
             assert!(target(line.as_bytes()), "{line} must be valid");
             let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
-            let taken = (0..ROUNDS).filter(|_| target(&mutate(&mut r, line))).count();
+            let taken = (0..ROUNDS)
+                .filter(|_| target(&mutate(&mut r, line)))
+                .count();
             // Mutations that are all refused, or all taken, would reach little of the code.
-            assert!((ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&taken), "{line}: {taken} of {ROUNDS}");
+            assert!(
+                (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&taken),
+                "{line}: {taken} of {ROUNDS}"
+            );
         }
     }
 }

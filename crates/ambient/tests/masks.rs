@@ -15,8 +15,12 @@ const TEXELS: [u8; 15] = [1, 1, 0, 0, 1, 0, 1, 1, 0, 1, 0, 1, 1, 0, 0];
 
 /// The corners of a tilted card over the origin, with texture coordinates that repeat the image.
 fn card() -> [(Vec3, [f32; 2]); 4] {
-    [[-1.0, -1.0], [2.0, -1.0], [2.0, 1.0], [-1.0, 1.0]]
-        .map(|[x, y]: [f32; 2]| (Vec3::new(x, y, 1.0 + 0.25 * x), [(x + 1.0) * 0.5, (1.0 - y) * 0.5]))
+    [[-1.0, -1.0], [2.0, -1.0], [2.0, 1.0], [-1.0, 1.0]].map(|[x, y]: [f32; 2]| {
+        (
+            Vec3::new(x, y, 1.0 + 0.25 * x),
+            [(x + 1.0) * 0.5, (1.0 - y) * 0.5],
+        )
+    })
 }
 
 fn masked() -> Scene {
@@ -24,13 +28,24 @@ fn masked() -> Scene {
     let mut encoder = png::Encoder::new(&mut image, SIZE[0], SIZE[1]);
     encoder.set_color(png::ColorType::GrayscaleAlpha);
     let texels: Vec<u8> = TEXELS.iter().flat_map(|t| [0, 255 * t]).collect();
-    encoder.write_header().unwrap().write_image_data(&texels).unwrap();
+    encoder
+        .write_header()
+        .unwrap()
+        .write_image_data(&texels)
+        .unwrap();
     let corners = [0, 1, 2, 0, 2, 3].map(|k| card()[k]);
-    let mut bytes: Vec<u8> = corners.iter().flat_map(|c| c.0.to_array()).flat_map(f32::to_le_bytes).collect();
+    let mut bytes: Vec<u8> = corners
+        .iter()
+        .flat_map(|c| c.0.to_array())
+        .flat_map(f32::to_le_bytes)
+        .collect();
     let of_positions = bytes.len();
     bytes.extend(corners.iter().flat_map(|c| c.1).flat_map(f32::to_le_bytes));
     let uri = |kind: &str, bytes: &[u8]| {
-        format!("data:{kind};base64,{}", base64::engine::general_purpose::STANDARD.encode(bytes))
+        format!(
+            "data:{kind};base64,{}",
+            base64::engine::general_purpose::STANDARD.encode(bytes)
+        )
     };
     let file = json!({
         "asset": {"version": "2.0"},
@@ -49,8 +64,13 @@ fn masked() -> Scene {
         ],
         "buffers": [{"uri": uri("application/octet-stream", &bytes), "byteLength": bytes.len()}],
     });
-    let options = Options { alpha_textures: true, ..Options::default() };
-    load_bytes_with("card.gltf", file.to_string().as_bytes(), None, &options).unwrap().scene
+    let options = Options {
+        alpha_textures: true,
+        ..Options::default()
+    };
+    load_bytes_with("card.gltf", file.to_string().as_bytes(), None, &options)
+        .unwrap()
+        .scene
 }
 
 /// The texels that hide as quads of their own. The card is 1.5 images wide.
@@ -65,10 +85,19 @@ fn cut() -> Scene {
             Vec3::new(x, y, 1.0 + 0.25 * x)
         };
         let (x, y) = (column as f32, row as f32);
-        let [a, b, c, d] = [at(x, y), at(x + 1.0, y), at(x + 1.0, y + 1.0), at(x, y + 1.0)];
+        let [a, b, c, d] = [
+            at(x, y),
+            at(x + 1.0, y),
+            at(x + 1.0, y + 1.0),
+            at(x, y + 1.0),
+        ];
         triangles.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
     }
-    let object = Object { name: "cut".to_owned(), first: 0, count: triangles.len() as u32 };
+    let object = Object {
+        name: "cut".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
     Scene::new("cut", triangles, vec![object]).unwrap()
 }
 
@@ -77,13 +106,25 @@ fn a_card_hides_what_its_texels_hide() {
     for distance in [f64::INFINITY, 1.3] {
         for fragments in [false, true] {
             let open = |scene: &Scene| {
-                let settings = Settings { fragments, ..Settings::new(distance) };
-                let at = Receiver { point: DVec3::new(0.1, 0.2, 0.0), normal: DVec3::Z, triangle: None };
+                let settings = Settings {
+                    fragments,
+                    ..Settings::new(distance)
+                };
+                let at = Receiver {
+                    point: DVec3::new(0.1, 0.2, 0.0),
+                    normal: DVec3::Z,
+                    triangle: None,
+                };
                 let prepared = Prepared::new(scene, fragments).unwrap();
-                Solver::new(&prepared, settings).solve(&[at], |_| {})[0].openness.open
+                Solver::new(&prepared, settings).solve(&[at], |_| {})[0]
+                    .openness
+                    .open
             };
             let (by_texels, by_quads) = (open(&masked()), open(&cut()));
-            assert!((by_texels - by_quads).abs() < 1e-6, "{by_texels} {by_quads}");
+            assert!(
+                (by_texels - by_quads).abs() < 1e-6,
+                "{by_texels} {by_quads}"
+            );
             assert!(by_quads < 0.9);
         }
     }

@@ -12,7 +12,11 @@ use sightline_scene::{Object, Scene, Triangle};
 
 fn scene(triangles: &[[Vec3; 3]]) -> Scene {
     let triangles: Vec<Triangle> = triangles.iter().map(|v| Triangle { v: *v }).collect();
-    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+    let object = Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
@@ -43,11 +47,19 @@ fn triangles(most: usize) -> impl Strategy<Value = Vec<[Vec3; 3]>> {
 
 /// Points near the middle, some of them in planes of the grid, that look in any direction.
 fn receivers(most: usize) -> impl Strategy<Value = Vec<Receiver>> {
-    let at = prop_oneof![prop::array::uniform3(-1.5f64..1.5), Just([0.5, 0.25, 0.0]), Just([0.0, 0.3, 0.1])];
+    let at = prop_oneof![
+        prop::array::uniform3(-1.5f64..1.5),
+        Just([0.5, 0.25, 0.0]),
+        Just([0.0, 0.3, 0.1])
+    ];
     let normal = prop_oneof![prop::array::uniform3(-1.0f64..1.0), Just([0.0, 0.0, 1.0])];
     let one = (at, normal).prop_filter_map("a direction", |(at, normal)| {
         let normal = DVec3::from(normal).try_normalize()?;
-        Some(Receiver { point: DVec3::from(at), normal, triangle: None })
+        Some(Receiver {
+            point: DVec3::from(at),
+            normal,
+            triangle: None,
+        })
     });
     prop::collection::vec(one, 1..most)
 }
@@ -67,13 +79,20 @@ fn meets(t: &[Vec3; 3], x: DVec3, ray: DVec3, distance: f64) -> Option<bool> {
     let far = normal.dot(a) / normal.dot(ray);
     let inside = sides.iter().all(|s| *s > 0.0) || sides.iter().all(|s| *s < 0.0);
     let near_edge = sides.iter().any(|s| s.abs() < 1e-9) || (far - distance).abs() < 1e-9;
-    if near_edge && far > -1e-9 { None } else { Some(inside && far > 0.0 && far < distance) }
+    if near_edge && far > -1e-9 {
+        None
+    } else {
+        Some(inside && far > 0.0 && far < distance)
+    }
 }
 
 /// More than usual: most cases take a millisecond.
 fn cases() -> ProptestConfig {
     let usual = ProptestConfig::default();
-    ProptestConfig { cases: usual.cases.max(400), ..usual }
+    ProptestConfig {
+        cases: usual.cases.max(400),
+        ..usual
+    }
 }
 
 proptest! {

@@ -30,15 +30,29 @@ impl Watcher for Unwatched {
 /// # Errors
 /// Embree is missing, or the bake failed.
 pub fn bake() -> Result<CellSets, Box<dyn Error>> {
-    let params = Params { triangles: Some(2000), ..Params::default() };
+    let params = Params {
+        triangles: Some(2000),
+        ..Params::default()
+    };
     let scene = Arc::new(generate(Kind::Rooms, &params)?);
     // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so one tile here.
     let division = Division::Grid([4, 2, 4]);
     let spec = JobSpec::new(scene.digest().0, division, scene.bounds());
     spec.check()?;
     let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
-    let control = Control { watcher: &Unwatched, deadline: None, crew: &Alone };
-    let done = run_tile(&spec, 0, &BakeScene::new(Arc::clone(&scene))?, &backend, &[], control)?;
+    let control = Control {
+        watcher: &Unwatched,
+        deadline: None,
+        crew: &Alone,
+    };
+    let done = run_tile(
+        &spec,
+        0,
+        &BakeScene::new(Arc::clone(&scene))?,
+        &backend,
+        &[],
+        control,
+    )?;
     // A worker sends these bytes to its coordinator; here they are decoded at once.
     match codec::decode(&done.bytes, scene.len())? {
         TileOutput::Cells(cells) => Ok(cells),

@@ -31,11 +31,15 @@ pub fn run_ambient_tile(
     watcher: &dyn Watcher,
 ) -> Result<TileDone, BakeError> {
     let wrong = |reason: &str| BakeError::Tile(reason.to_owned());
-    let ambient = spec.ambient.ok_or_else(|| wrong("the job names no receivers"))?;
+    let ambient = spec
+        .ambient
+        .ok_or_else(|| wrong("the job names no receivers"))?;
     if ambient.points as usize != receivers.receivers.len() {
         return Err(wrong("the job names other receivers than were sent"));
     }
-    let blocks = receivers.of_tile(number).ok_or_else(|| wrong("the plan has no such tile"))?;
+    let blocks = receivers
+        .of_tile(number)
+        .ok_or_else(|| wrong("the plan has no such tile"))?;
     let prepared = scene.ambient().map_err(BakeError::Tile)?;
     let settings = settings(&receivers.asked).map_err(|reason| wrong(&reason))?;
     let solver = Solver::new(prepared, settings);
@@ -57,25 +61,45 @@ pub fn run_ambient_tile(
     // The order of blocks, whichever thread had them.
     let answers: Option<Vec<Vec<Answer>>> = answers.into_iter().collect();
     let answers = answers.ok_or(BakeError::Cancelled)?.concat();
-    let bytes = openness(&answers, ambient.numbers())?.encode().map_err(tile_error)?;
-    Ok(TileDone { bytes, samples: answers.len() as u64, recomputed: Vec::new() })
+    let bytes = openness(&answers, ambient.numbers())?
+        .encode()
+        .map_err(tile_error)?;
+    Ok(TileDone {
+        bytes,
+        samples: answers.len() as u64,
+        recomputed: Vec::new(),
+    })
 }
 
 fn receiver(r: &receivers::Receiver) -> Receiver {
-    let receivers::Receiver { point, normal, triangle } = *r;
-    Receiver { point: DVec3::from_array(point), normal: DVec3::from_array(normal), triangle }
+    let receivers::Receiver {
+        point,
+        normal,
+        triangle,
+    } = *r;
+    Receiver {
+        point: DVec3::from_array(point),
+        normal: DVec3::from_array(normal),
+        triangle,
+    }
 }
 
 /// What the solver is asked for.
 fn settings(asked: &receivers::Asked) -> Result<Settings, String> {
-    let light =
-        |(k, corners): (usize, &Vec<[f64; 3]>)| Light::new(corners).map_err(|e| format!("light {k}: {e}"));
+    let light = |(k, corners): (usize, &Vec<[f64; 3]>)| {
+        Light::new(corners).map_err(|e| format!("light {k}: {e}"))
+    };
     Ok(Settings {
         falloff: match asked.falloff {
             receivers::Falloff::None => Falloff::None,
             receivers::Falloff::Sqrt => Falloff::Sqrt,
         },
-        lights: asked.lights.iter().enumerate().map(light).collect::<Result<_, _>>()?,
+        lights: asked
+            .lights
+            .iter()
+            .enumerate()
+            .map(light)
+            .collect::<Result<_, _>>()?,
         ..Settings::new(asked.distance)
     })
 }
@@ -87,11 +111,17 @@ fn openness(answers: &[Answer], numbers: u32) -> Result<Openness, BakeError> {
         let of = std::iter::once(answer.openness.open).chain(answer.lights.iter().copied());
         let all = of.clone().all(f64::is_finite) && answer.openness.bound.is_finite();
         if !all || of.clone().count() != numbers as usize {
-            return Err(BakeError::Tile(format!("receiver {at} of the tile has no answer in numbers")));
+            return Err(BakeError::Tile(format!(
+                "receiver {at} of the tile has no answer in numbers"
+            )));
         }
         // Rounding can leave the range by less than the bound.
         values.extend(of.map(|x| (x as f32).clamp(0.0, 1.0)));
         bound = bound.max(answer.openness.bound);
     }
-    Ok(Openness { numbers, values, bound })
+    Ok(Openness {
+        numbers,
+        values,
+        bound,
+    })
 }

@@ -16,8 +16,14 @@ use sightline_viewcells::{Division, DivisionError, Lattice, Tile, Viewpoints};
 ///
 /// # Errors
 /// [`DivisionError`] for a box that is no cell.
-pub fn of_box(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> Result<Option<JobSpec>, DivisionError> {
-    let Division::Tree(_) = &spec.division else { return Ok(None) };
+pub fn of_box(
+    spec: &JobSpec,
+    lattice: &Lattice,
+    tile: &Tile,
+) -> Result<Option<JobSpec>, DivisionError> {
+    let Division::Tree(_) = &spec.division else {
+        return Ok(None);
+    };
     let (min, max) = tile.cell.world(lattice);
     let number = spec.division.number(lattice, &tile.cell).unwrap_or(0);
     let viewpoints = spec.viewpoints.as_ref().map(|marks| {
@@ -29,7 +35,9 @@ pub fn of_box(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> Result<Option<J
         view_box: Aabb::new(min, max),
         viewpoints,
         // Boxes would have the same random numbers.
-        seed: spec.seed.wrapping_add((number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)),
+        seed: spec
+            .seed
+            .wrapping_add((number as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)),
         ..spec.clone()
     };
     own.lattice()?;

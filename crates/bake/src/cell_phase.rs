@@ -46,9 +46,20 @@ pub fn decide_shared(
     watcher: &dyn Watcher,
 ) -> Result<Vec<CellSet>, Undecided> {
     let decided = sampled.iter().map(|_| OnceLock::new()).collect();
-    let cells = Cells { sampled, triangles, compute, watcher, decided, fault: Mutex::new(None) };
+    let cells = Cells {
+        sampled,
+        triangles,
+        compute,
+        watcher,
+        decided,
+        fault: Mutex::new(None),
+    };
     let ran = crew.run(&cells);
-    if let Some(fault) = cells.fault.into_inner().unwrap_or_else(PoisonError::into_inner) {
+    if let Some(fault) = cells
+        .fault
+        .into_inner()
+        .unwrap_or_else(PoisonError::into_inner)
+    {
         return Err(Undecided::Fault(fault));
     }
     match ran {
@@ -56,7 +67,11 @@ pub fn decide_shared(
         Err(TileError::Cancelled) => return Err(Undecided::Cancelled),
         Err(e) => return Err(Undecided::Fault(e.to_string())),
     }
-    cells.decided.into_iter().map(|cell| cell.into_inner().ok_or(Undecided::Cancelled)).collect()
+    cells
+        .decided
+        .into_iter()
+        .map(|cell| cell.into_inner().ok_or(Undecided::Cancelled))
+        .collect()
 }
 
 impl Cells<'_> {
@@ -79,7 +94,9 @@ impl Cells<'_> {
                 portals: Vec::new(),
             };
             // Writing to memory does not fail; a cell that is left out would be computed again.
-            let Ok(coded) = codec::encode(&TileOutput::Cells(alone)) else { continue };
+            let Ok(coded) = codec::encode(&TileOutput::Cells(alone)) else {
+                continue;
+            };
             varint::write(&mut bytes, item as u64);
             varint::write(&mut bytes, coded.len() as u64);
             bytes.extend(coded);
@@ -91,19 +108,25 @@ impl Cells<'_> {
         let mut cells = Vec::new();
         while !bytes.is_empty() {
             let mut number = || {
-                varint::read(&mut bytes, varint::MOST_BYTES).map_err(|_| ForeignFinds("a number is cut off"))
+                varint::read(&mut bytes, varint::MOST_BYTES)
+                    .map_err(|_| ForeignFinds("a number is cut off"))
             };
             let (item, length) = (number()?, number()?);
-            let item = usize::try_from(item).ok().filter(|item| *item < self.decided.len());
+            let item = usize::try_from(item)
+                .ok()
+                .filter(|item| *item < self.decided.len());
             let item = item.ok_or(ForeignFinds("it names a cell that the tile does not have"))?;
-            let length = usize::try_from(length).ok().filter(|length| *length <= bytes.len());
+            let length = usize::try_from(length)
+                .ok()
+                .filter(|length| *length <= bytes.len());
             let (coded, rest) = bytes.split_at(length.ok_or(ForeignFinds("a cell is cut off"))?);
             bytes = rest;
             let sets = match codec::decode(coded, self.triangles) {
                 Ok(TileOutput::Cells(sets)) => sets,
                 _ => return Err(ForeignFinds("a cell cannot be read")),
             };
-            let [cell] = <[CellSet; 1]>::try_from(sets.cells).map_err(|_| ForeignFinds("not one cell"))?;
+            let [cell] =
+                <[CellSet; 1]>::try_from(sets.cells).map_err(|_| ForeignFinds("not one cell"))?;
             let of_this = cell.unreached == self.sampled[item].unreached && cell.decision.is_some();
             if !of_this {
                 return Err(ForeignFinds("a cell is not decided"));
@@ -123,10 +146,17 @@ impl Phase for Cells<'_> {
 
     fn costs(&self) -> Vec<u64> {
         // Cells that see much take long.
-        self.sampled.iter().map(|cell| cell.visible.len() as u64).collect()
+        self.sampled
+            .iter()
+            .map(|cell| cell.visible.len() as u64)
+            .collect()
     }
 
-    fn compute(&self, item: usize, is_needless: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError> {
+    fn compute(
+        &self,
+        item: usize,
+        is_needless: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(), TileError> {
         match (self.compute)(item, is_needless) {
             // What was stopped is half decided.
             Ok(_) if self.watcher.cancelled() => Err(TileError::Cancelled),
@@ -136,14 +166,19 @@ impl Phase for Cells<'_> {
                 Ok(())
             }
             Err(reason) => {
-                self.fault.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+                self.fault
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .get_or_insert(reason);
                 Err(TileError::Cancelled)
             }
         }
     }
 
     fn has(&self, item: usize) -> bool {
-        self.decided.get(item).is_some_and(|cell| cell.get().is_some())
+        self.decided
+            .get(item)
+            .is_some_and(|cell| cell.get().is_some())
     }
 
     fn take(&self, items: &[usize]) -> Vec<u8> {

@@ -10,7 +10,10 @@ use sightline_exact::Limits;
 use sightline_model::{ALGORITHM_VERSION, Method};
 use sightline_viewcells::CellBox;
 
-const _: () = assert!(ALGORITHM_VERSION == 28, "the choices in this file belong to another version");
+const _: () = assert!(
+    ALGORITHM_VERSION == 28,
+    "the choices in this file belong to another version"
+);
 
 /// Cells of a cell group. The queries about a group's box cost more than they save with fewer cells; with
 /// more cells fewer triangles are hidden from the box.
@@ -18,7 +21,12 @@ pub const GROUP_CELLS: RangeInclusive<usize> = 4..=8;
 
 /// Limits of a single query with [`Method::Verified`]: far above what nearly all queries take, far below what
 /// the hardest take.
-const VERIFIED: Limits = Limits { regions: 1000, vectors: 100_000, splits: 32, divisions: 6 };
+const VERIFIED: Limits = Limits {
+    regions: 1000,
+    vectors: 100_000,
+    splits: 32,
+    divisions: 6,
+};
 
 /// The fraction of a time budget that sampling may take, as a divisor. Sampling is fast; queries for
 /// triangles that it would still find are not.
@@ -30,13 +38,19 @@ pub const GROUP_SHARE: u32 = 2;
 
 /// The limits of a single query.
 pub fn exact_limits(method: Method) -> Limits {
-    if method == Method::Verified { VERIFIED } else { Limits::default() }
+    if method == Method::Verified {
+        VERIFIED
+    } else {
+        Limits::default()
+    }
 }
 
 /// The seed of the random numbers of a box, from the job's seed and the box's lattice corners.
 pub fn box_seed(at: &CellBox, seed: u64) -> u64 {
     let corners = at.lo.iter().chain(&at.hi);
-    corners.fold(seed, |h, c| h.wrapping_mul(0x0100_0000_01b3) ^ u64::from(*c))
+    corners.fold(seed, |h, c| {
+        h.wrapping_mul(0x0100_0000_01b3) ^ u64::from(*c)
+    })
 }
 
 /// The time at which sampling ends. Exact methods leave most of the time to queries.

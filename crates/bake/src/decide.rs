@@ -43,24 +43,51 @@ pub fn cells(
 ) -> Result<(), Undecided> {
     let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
     // From cells without viewpoints nothing is asked, so they share nothing.
-    groups.retain(|group| sets.cells[group.cells.clone()].iter().all(|cell| !cell.unreached));
+    groups.retain(|group| {
+        sets.cells[group.cells.clone()]
+            .iter()
+            .all(|cell| !cell.unreached)
+    });
     let share = |d: Instant| d.saturating_duration_since(Instant::now()) / GROUP_SHARE;
     let half = deadline.map(|d| Instant::now() + share(d));
-    let exact_cells: Vec<(CellBox, Cell)> =
-        boxes.iter().map(|at| Ok((*at, exact_cell(at, lattice)?))).collect::<Result<_, String>>()?;
+    let exact_cells: Vec<(CellBox, Cell)> = boxes
+        .iter()
+        .map(|at| Ok((*at, exact_cell(at, lattice)?)))
+        .collect::<Result<_, String>>()?;
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let listed = all_listed(partition, lattice, (&boxes, sets), is_open, &stop);
-    let mut around =
-        groups_first((spec, places), lattice, (&boxes, &groups), (sets, &listed), scene, (half, watcher))?;
+    let mut around = groups_first(
+        (spec, places),
+        lattice,
+        (&boxes, &groups),
+        (sets, &listed),
+        scene,
+        (half, watcher),
+    )?;
     // Pairs of cells have the same share of what is left then.
     let half = deadline.map(|d| Instant::now() + share(d));
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
-    around.iter_mut().zip(apart).for_each(|(around, apart)| around.apart = apart);
-    around.iter_mut().zip(listed).for_each(|(around, listed)| around.listed = listed);
-    let one = |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
-        cell((spec, places), lattice, (at, around), set, scene, stop, watcher)
-    };
+    around
+        .iter_mut()
+        .zip(apart)
+        .for_each(|(around, apart)| around.apart = apart);
+    around
+        .iter_mut()
+        .zip(listed)
+        .for_each(|(around, listed)| around.listed = listed);
+    let one =
+        |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
+            cell(
+                (spec, places),
+                lattice,
+                (at, around),
+                set,
+                scene,
+                stop,
+                watcher,
+            )
+        };
     match deadline {
         None => {
             let compute = |item: usize, is_needless: &(dyn Fn() -> bool + Sync)| {
@@ -68,7 +95,13 @@ pub fn cells(
                 let stop = || watcher.cancelled() || is_needless();
                 one(&mut set, &boxes[item], &around[item], &stop).map(|()| set)
             };
-            sets.cells = decide_shared(crew, &sets.cells, scene.occluders().len() as u32, &compute, watcher)?;
+            sets.cells = decide_shared(
+                crew,
+                &sets.cells,
+                scene.occluders().len() as u32,
+                &compute,
+                watcher,
+            )?;
             Ok(())
         }
         // As many cells at a time as there are threads, each with its share of the remaining time, so that
@@ -82,11 +115,13 @@ pub fn cells(
                 let share: Duration = deadline.saturating_duration_since(now) / left;
                 left -= 1;
                 let stop = || watcher.cancelled() || Instant::now() >= now + share;
-                some.par_iter_mut().with_max_len(1).try_for_each(|((set, at), around)| {
-                    let done = one(set, at, around, &stop);
-                    watcher.cell_done();
-                    done
-                })?;
+                some.par_iter_mut()
+                    .with_max_len(1)
+                    .try_for_each(|((set, at), around)| {
+                        let done = one(set, at, around, &stop);
+                        watcher.cell_done();
+                        done
+                    })?;
             }
             Ok(())
         }
@@ -107,10 +142,16 @@ fn cell(
         // Nothing is asked about triangles.
         let certificate = match apart.is_empty() {
             true => Vec::new(),
-            false => codec::encode(&CellCertificate { apart, ..CellCertificate::default() })
-                .map_err(|e| e.to_string())?,
+            false => codec::encode(&CellCertificate {
+                apart,
+                ..CellCertificate::default()
+            })
+            .map_err(|e| e.to_string())?,
         };
-        set.decision = Some(Decision { certificate, ..Decision::default() });
+        set.decision = Some(Decision {
+            certificate,
+            ..Decision::default()
+        });
         return Ok(());
     }
     let mut decided = decide(&Task {
@@ -219,11 +260,26 @@ fn groups_first(
     scene: &ExactScene,
     (until, watcher): (Option<Instant>, &dyn Watcher),
 ) -> Result<Vec<Around>, String> {
-    let cells = cells.iter().map(|at| exact_cell(at, lattice)).collect::<Result<Vec<_>, _>>()?;
-    let seen: Vec<&[u32]> = sets.cells.iter().map(|set| set.visible.as_slice()).collect();
+    let cells = cells
+        .iter()
+        .map(|at| exact_cell(at, lattice))
+        .collect::<Result<Vec<_>, _>>()?;
+    let seen: Vec<&[u32]> = sets
+        .cells
+        .iter()
+        .map(|set| set.visible.as_slice())
+        .collect();
     let mut around: Vec<Around> = cells.iter().map(|_| Around::default()).collect();
-    for CellGroup { around: at, cells: range } in groups {
-        let GroupDecided { hidden, shared, statistics } = decide_group(&GroupTask {
+    for CellGroup {
+        around: at,
+        cells: range,
+    } in groups
+    {
+        let GroupDecided {
+            hidden,
+            shared,
+            statistics,
+        } = decide_group(&GroupTask {
             scene,
             cells: &cells[range.clone()],
             places,
@@ -251,9 +307,24 @@ fn groups_first(
 
 /// The statistics of a decided cell, by column.
 pub fn statistics(taken: &QueryStatistics) -> DecisionStats {
-    let QueryStatistics { rays, queries, boxes, enclosed, hidden, above, missed, refuted, open, cost } =
-        *taken;
-    let [undecided_stopped, undecided_regions, undecided_memory, undecided_divisions] = open;
+    let QueryStatistics {
+        rays,
+        queries,
+        boxes,
+        enclosed,
+        hidden,
+        above,
+        missed,
+        refuted,
+        open,
+        cost,
+    } = *taken;
+    let [
+        undecided_stopped,
+        undecided_regions,
+        undecided_memory,
+        undecided_divisions,
+    ] = open;
     DecisionStats {
         rays,
         queries,

@@ -38,25 +38,41 @@ pub fn decide(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Vec<Vec<HiddenBox>> {
     let nothing = || cells.iter().map(|_| Vec::new()).collect();
-    let Some(pairs) = &mut sets.pairs else { return nothing() };
+    let Some(pairs) = &mut sets.pairs else {
+        return nothing();
+    };
     let mut hidden = PairTable::empty(pairs.seen.cells());
     let Division::Grid(sides) = spec.division else {
         pairs.hidden = Some(hidden);
         return nothing();
     };
-    let walk =
-        Walk { spec, lattice, sides, seen: &pairs.seen, scene, stop, limits: exact_limits(spec.method) };
-    let found: Vec<Decided> =
-        cells.par_iter().with_max_len(1).map(|(at, cell)| walk.from(at, *cell)).collect();
+    let walk = Walk {
+        spec,
+        lattice,
+        sides,
+        seen: &pairs.seen,
+        scene,
+        stop,
+        limits: exact_limits(spec.method),
+    };
+    let found: Vec<Decided> = cells
+        .par_iter()
+        .with_max_len(1)
+        .map(|(at, cell)| walk.from(at, *cell))
+        .collect();
     let mut proofs = Vec::with_capacity(found.len());
     for ((at, _), decided) in cells.iter().zip(found) {
         let own = walk.number(at);
-        decided.hidden.iter().for_each(|other| hidden.insert(own, *other));
+        decided
+            .hidden
+            .iter()
+            .for_each(|other| hidden.insert(own, *other));
         proofs.push((own, decided.seen, decided.proofs));
     }
     let mut out = Vec::with_capacity(proofs.len());
     for (own, seen, proofs) in proofs {
-        seen.into_iter().for_each(|other| pairs.seen.insert(own, other));
+        seen.into_iter()
+            .for_each(|other| pairs.seen.insert(own, other));
         out.push(proofs);
     }
     pairs.hidden = Some(hidden);
@@ -86,39 +102,59 @@ impl Walk<'_> {
         let [nx, ny, _] = self.sides;
         zs.flat_map(move |z| {
             let xs = xs.clone();
-            ys.clone().flat_map(move |y| xs.clone().map(move |x| (z * ny + y) * nx + x))
+            ys.clone()
+                .flat_map(move |y| xs.clone().map(move |x| (z * ny + y) * nx + x))
         })
     }
 
     fn is_reached(&self, cell: u32) -> bool {
-        self.spec.viewpoints.as_ref().is_none_or(|marks| marks.of(cell as usize) != 0)
+        self.spec
+            .viewpoints
+            .as_ref()
+            .is_none_or(|marks| marks.of(cell as usize) != 0)
     }
 
     fn from(&self, at: &CellBox, cell: Cell) -> Decided {
         let mut out = Decided::default();
         let own = self.number(at);
         // A stop leaves the rest undecided.
-        let _ = self.below(&self.spec.division.root(self.lattice), 0, (at, own, cell), &mut out);
+        let _ = self.below(
+            &self.spec.division.root(self.lattice),
+            0,
+            (at, own, cell),
+            &mut out,
+        );
         out
     }
 
     /// Whether every point of a box is farther from every point of another one than the job's lines reach.
     fn is_beyond(&self, a: &CellBox, b: &CellBox) -> bool {
         let gap = |a: [f64; 2], b: [f64; 2]| (b[0] - a[1]).max(a[0] - b[1]).max(0.0);
-        self.spec.sampling.far.is_some_and(|far| self.distance(a, b, gap) > far * (1.0 + MARGIN))
+        self.spec
+            .sampling
+            .far
+            .is_some_and(|far| self.distance(a, b, gap) > far * (1.0 + MARGIN))
     }
 
     /// Whether all their points are so near to each other that lines between them are not ended.
     fn is_within(&self, a: &CellBox, b: &CellBox) -> bool {
         let most = |a: [f64; 2], b: [f64; 2]| (b[1] - a[0]).max(a[1] - b[0]);
-        self.spec.sampling.far.is_none_or(|far| self.distance(a, b, most) < far * (1.0 - MARGIN))
+        self.spec
+            .sampling
+            .far
+            .is_none_or(|far| self.distance(a, b, most) < far * (1.0 - MARGIN))
     }
 
     /// The length of the vector whose components `of` gives from the sides of two boxes along each axis.
     fn distance(&self, a: &CellBox, b: &CellBox, of: impl Fn([f64; 2], [f64; 2]) -> f64) -> f64 {
         let [a, b] = [a, b].map(|of| of.world(self.lattice));
-        let sides = |(min, max): (Vec3, Vec3), axis: usize| [f64::from(min[axis]), f64::from(max[axis])];
-        (0..3).map(|axis| of(sides(a, axis), sides(b, axis))).map(|x| x * x).sum::<f64>().sqrt()
+        let sides =
+            |(min, max): (Vec3, Vec3), axis: usize| [f64::from(min[axis]), f64::from(max[axis])];
+        (0..3)
+            .map(|axis| of(sides(a, axis), sides(b, axis)))
+            .map(|x| x * x)
+            .sum::<f64>()
+            .sqrt()
     }
 
     fn below(

@@ -32,9 +32,14 @@ pub fn cells_and_groups(root: &CellBox, nodes: &[Node]) -> (Vec<CellBox>, Vec<Ce
     let mut waiting = vec![*root];
     for (node, count) in nodes.iter().zip(below) {
         let Some(cell) = waiting.pop() else { break };
-        let within = groups.last().is_some_and(|g| g.cells.contains(&cells.len()));
+        let within = groups
+            .last()
+            .is_some_and(|g| g.cells.contains(&cells.len()));
         if !within && GROUP_CELLS.contains(&count) {
-            groups.push(CellGroup { around: cell, cells: cells.len()..cells.len() + count });
+            groups.push(CellGroup {
+                around: cell,
+                cells: cells.len()..cells.len() + count,
+            });
         }
         match node {
             Node::Split(split) => {
@@ -88,13 +93,33 @@ mod tests {
             let (root, nodes) = grid(size);
             let (cells, groups) = cells_and_groups(&root, &nodes);
             assert_eq!(cells.len(), size.iter().product::<u32>() as usize);
-            assert_eq!(groups.iter().map(|g| g.cells.len()).collect::<Vec<_>>(), sizes, "{size:?}");
-            assert!(groups.windows(2).all(|w| w[0].cells.end <= w[1].cells.start));
-            for CellGroup { around: at, cells: range } in &groups {
-                let volume = |b: &CellBox| (0..3).map(|a| u64::from(b.hi[a] - b.lo[a])).product::<u64>();
-                let within = |c: &CellBox| (0..3).all(|a| at.lo[a] <= c.lo[a] && c.hi[a] <= at.hi[a]);
+            assert_eq!(
+                groups.iter().map(|g| g.cells.len()).collect::<Vec<_>>(),
+                sizes,
+                "{size:?}"
+            );
+            assert!(
+                groups
+                    .windows(2)
+                    .all(|w| w[0].cells.end <= w[1].cells.start)
+            );
+            for CellGroup {
+                around: at,
+                cells: range,
+            } in &groups
+            {
+                let volume = |b: &CellBox| {
+                    (0..3)
+                        .map(|a| u64::from(b.hi[a] - b.lo[a]))
+                        .product::<u64>()
+                };
+                let within =
+                    |c: &CellBox| (0..3).all(|a| at.lo[a] <= c.lo[a] && c.hi[a] <= at.hi[a]);
                 assert!(cells[range.clone()].iter().all(within));
-                assert_eq!(volume(at), cells[range.clone()].iter().map(volume).sum::<u64>());
+                assert_eq!(
+                    volume(at),
+                    cells[range.clone()].iter().map(volume).sum::<u64>()
+                );
             }
         }
     }

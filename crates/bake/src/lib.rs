@@ -102,10 +102,14 @@ pub fn run_tile(
     let tile = &plan.tiles[at as usize];
     let watcher = control.watcher;
     if spec.ambient.is_some() {
-        return Err(BakeError::Tile("a job of receivers has no cells; run its tiles with them".to_owned()));
+        return Err(BakeError::Tile(
+            "a job of receivers has no cells; run its tiles with them".to_owned(),
+        ));
     }
     if spec.method == Method::Portals {
-        return Err(BakeError::Tile("the method portals needs no backend; run its tiles without".to_owned()));
+        return Err(BakeError::Tile(
+            "the method portals needs no backend; run its tiles without".to_owned(),
+        ));
     }
     if spec.method != Method::Aggressive && scene.scene().kinds().any_masked() {
         return Err(BakeError::Tile(
@@ -120,7 +124,11 @@ pub fn run_tile(
     let decided_later = Open(control.crew);
     let places = Within::of(spec, scene.scene()).map_err(tile_error)?;
     let is_open = matches!(whole.division, Division::Tree(_));
-    let traced = if is_open { off_walls(spec, scene.scene()).map_err(tile_error)? } else { lattice.clone() };
+    let traced = if is_open {
+        off_walls(spec, scene.scene()).map_err(tile_error)?
+    } else {
+        lattice.clone()
+    };
     let job = JobContext {
         scene: scene.sampling(),
         division: spec.division.clone(),
@@ -132,7 +140,11 @@ pub fn run_tile(
         backend,
         seed: spec.seed,
         deadline: choices::sampling_deadline(spec.method, control.deadline),
-        crew: if decides { &decided_later } else { control.crew },
+        crew: if decides {
+            &decided_later
+        } else {
+            control.crew
+        },
     };
     if packs.len() != tile.needs.len() {
         return Err(BakeError::Tile(format!(
@@ -153,7 +165,8 @@ pub fn run_tile(
                 &fresh
             }
         };
-        decoded.push(codec::decode_pack(bytes, scene.scene().len(), &tile.cell).map_err(tile_error)?);
+        decoded
+            .push(codec::decode_pack(bytes, scene.scene().len(), &tile.cell).map_err(tile_error)?);
     }
     let sampling_only = WithoutCells(watcher);
     let sampling_watcher: &dyn Watcher = if exact { &sampling_only } else { watcher };
@@ -169,7 +182,9 @@ pub fn run_tile(
         // cells do not (docs/experiments/portals.md). A region has no certificates, which portals could not
         // give.
         let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
-        let made = places.is_some().then(|| scene.partition(whole, &|| watcher.cancelled() || late()));
+        let made = places
+            .is_some()
+            .then(|| scene.partition(whole, &|| watcher.cancelled() || late()));
         let partition = match made {
             None | Some(Err(NoPartition::Stopped)) => None,
             Some(made) => Some(made.map_err(tile_error)?),
@@ -194,7 +209,11 @@ pub fn run_tile(
     }
     let bytes = codec::encode(&output).map_err(tile_error)?;
     tracing::debug!(tile = number, bytes = bytes.len(), "tile encoded");
-    Ok(TileDone { bytes, samples, recomputed })
+    Ok(TileDone {
+        bytes,
+        samples,
+        recomputed,
+    })
 }
 
 /// The bytes of a lost pack, computed again.
@@ -229,7 +248,8 @@ fn recompute(
     let mut packs: Vec<Pack> = Vec::with_capacity(tile.needs.len());
     for need in &tile.needs {
         let bytes = recompute(job, plan, *need, watcher)?;
-        packs.push(codec::decode_pack(&bytes, job.scene.scene().len(), &tile.cell).map_err(broken)?);
+        packs
+            .push(codec::decode_pack(&bytes, job.scene.scene().len(), &tile.cell).map_err(broken)?);
     }
     let (output, _) = tile::run(job, tile, &packs, watcher)?;
     codec::encode(&output).map_err(broken)
@@ -237,7 +257,10 @@ fn recompute(
 
 /// A pack that was encoded here and cannot be read here.
 fn broken(e: impl std::fmt::Display) -> BakeError {
-    BakeError::Backend(BackendError::Failed { profile: "this worker".to_owned(), reason: e.to_string() })
+    BakeError::Backend(BackendError::Failed {
+        profile: "this worker".to_owned(),
+        reason: e.to_string(),
+    })
 }
 
 /// A crew that goes on after the sampler has ended it.

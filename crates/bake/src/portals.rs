@@ -37,8 +37,12 @@ pub fn run_portal_tile(
 ) -> Result<TileDone, BakeError> {
     let whole = spec;
     let (lattice, plan) = whole.plan().map_err(tile_error)?;
-    let tile = plan.tiles.get(number as usize).filter(|tile| tile.kind == TileKind::Leaf);
-    let tile = tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
+    let tile = plan
+        .tiles
+        .get(number as usize)
+        .filter(|tile| tile.kind == TileKind::Leaf);
+    let tile =
+        tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
     let own = of_box(whole, &lattice, tile).map_err(tile_error)?;
     let (spec, (lattice, plan), at) = match &own {
         // The job of a box has one tile.
@@ -58,7 +62,9 @@ pub fn run_portal_tile(
     };
     let exact = scene.exact().map_err(BakeError::Tile)?;
     let places = within.as_ref().map(Within::places);
-    let faces = own.as_ref().map(|own| OpenFaces::new(scene.scene(), own.view_box, places));
+    let faces = own
+        .as_ref()
+        .map(|own| OpenFaces::new(scene.scene(), own.view_box, places));
     let places = faces.as_ref().map(|faces| faces as _).or(places);
     let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
         let mut set = sets.cells[item].clone();
@@ -68,8 +74,10 @@ pub fn run_portal_tile(
         }
         let world = boxes[item].world(&lattice);
         let all = || (0..scene.scene().len()).collect();
-        let found =
-            partition.as_ref().and_then(|p| listed(p, world, own.is_some(), stop)).unwrap_or_else(all);
+        let found = partition
+            .as_ref()
+            .and_then(|p| listed(p, world, own.is_some(), stop))
+            .unwrap_or_else(all);
         let decided = decide_listed(&Task {
             scene: exact,
             cell: exact_cell(&boxes[item], &lattice)?,
@@ -94,7 +102,11 @@ pub fn run_portal_tile(
             undecided.retain(near);
         }
         let counts = statistics(&decided.statistics).numbers().to_vec();
-        set.decision = Some(Decision { undecided, counts, ..Decision::default() });
+        set.decision = Some(Decision {
+            undecided,
+            counts,
+            ..Decision::default()
+        });
         Ok(set)
     };
     let cells = match control.deadline {
@@ -102,7 +114,13 @@ pub fn run_portal_tile(
             let compute = |item: usize, is_needless: &(dyn Fn() -> bool + Sync)| {
                 compute(item, &|| watcher.cancelled() || is_needless())
             };
-            decide_shared(control.crew, &sets.cells, scene.scene().len(), &compute, watcher)?
+            decide_shared(
+                control.crew,
+                &sets.cells,
+                scene.scene().len(),
+                &compute,
+                watcher,
+            )?
         }
         Some(deadline) => {
             let stop = || watcher.cancelled() || Instant::now() >= deadline;
@@ -112,7 +130,9 @@ pub fn run_portal_tile(
                 cell
             };
             let cells = (0..boxes.len()).into_par_iter().with_max_len(1).map(one);
-            cells.collect::<Result<Vec<_>, _>>().map_err(BakeError::Tile)?
+            cells
+                .collect::<Result<Vec<_>, _>>()
+                .map_err(BakeError::Tile)?
         }
     };
     if watcher.cancelled() {
@@ -124,15 +144,29 @@ pub fn run_portal_tile(
     let rays = |cell: &CellSet| cell.decision.as_ref().map_or(0, Decision::rays);
     let samples = cells.iter().map(rays).sum();
     // The result has the portals once.
-    let portals = if number == 0 { encoded(partition.as_deref(), scene.scene()) } else { Vec::new() };
-    let output = TileOutput::Cells(CellSets { cells, portals, ..sets });
+    let portals = if number == 0 {
+        encoded(partition.as_deref(), scene.scene())
+    } else {
+        Vec::new()
+    };
+    let output = TileOutput::Cells(CellSets {
+        cells,
+        portals,
+        ..sets
+    });
     let bytes = codec::encode(&output).map_err(tile_error)?;
-    Ok(TileDone { bytes, samples, recomputed: Vec::new() })
+    Ok(TileDone {
+        bytes,
+        samples,
+        recomputed: Vec::new(),
+    })
 }
 
 /// The scene divided along its walls as the result has it. What was not divided in time is one leaf.
 pub fn encoded(partition: Option<&Partition>, scene: &Scene) -> Vec<u8> {
-    partition.map_or_else(|| Portals::undivided(scene.len()), table).encode()
+    partition
+        .map_or_else(|| Portals::undivided(scene.len()), table)
+        .encode()
 }
 
 /// The cells of a tile, before anything is known but which have viewpoints.
@@ -149,7 +183,10 @@ fn empty_cells(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> CellSets {
             None => {
                 sets.nodes.push(Node::Cell);
                 let unreached = spec.marks(lattice, &at) == 0;
-                sets.cells.push(CellSet { unreached, ..CellSet::default() });
+                sets.cells.push(CellSet {
+                    unreached,
+                    ..CellSet::default()
+                });
             }
         }
     }

@@ -31,7 +31,12 @@ impl BakeScene {
     /// [`SceneError`] when it has too many triangles to sample.
     pub fn new(scene: Arc<Scene>) -> Result<Self, SceneError> {
         let sampling = PreparedScene::new(scene)?;
-        Ok(Self { sampling, exact: OnceLock::new(), ambient: OnceLock::new(), partition: Mutex::default() })
+        Ok(Self {
+            sampling,
+            exact: OnceLock::new(),
+            ambient: OnceLock::new(),
+            partition: Mutex::default(),
+        })
     }
 
     /// The triangles.
@@ -52,8 +57,13 @@ impl BakeScene {
     /// # Errors
     /// The reason, when the scene has too many corners to number.
     pub fn exact(&self) -> Result<&ExactScene, String> {
-        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
-        let found = self.exact.get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
+        assert!(
+            rayon::current_thread_index().is_none(),
+            "a thread of the pool could wait for itself here"
+        );
+        let found = self
+            .exact
+            .get_or_init(|| ExactScene::prepare(self.scene()).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
 
@@ -66,9 +76,13 @@ impl BakeScene {
     /// # Errors
     /// The reason, when the scene has too many corners to number.
     pub fn ambient(&self) -> Result<&Prepared, String> {
-        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
-        let found =
-            self.ambient.get_or_init(|| Prepared::new(self.scene(), false).map_err(|e| e.to_string()));
+        assert!(
+            rayon::current_thread_index().is_none(),
+            "a thread of the pool could wait for itself here"
+        );
+        let found = self
+            .ambient
+            .get_or_init(|| Prepared::new(self.scene(), false).map_err(|e| e.to_string()));
         found.as_ref().map_err(Clone::clone)
     }
 
@@ -80,10 +94,20 @@ impl BakeScene {
     ///
     /// # Errors
     /// [`NoPartition`].
-    pub fn partition(&self, spec: &JobSpec, stop: &dyn Fn() -> bool) -> Result<Arc<Partition>, NoPartition> {
-        assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
+    pub fn partition(
+        &self,
+        spec: &JobSpec,
+        stop: &dyn Fn() -> bool,
+    ) -> Result<Arc<Partition>, NoPartition> {
+        assert!(
+            rayon::current_thread_index().is_none(),
+            "a thread of the pool could wait for itself here"
+        );
         let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
-        let mut last = self.partition.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self
+            .partition
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         if let Some(((view_box, of), partition)) = &*last
             && (*view_box, of.as_ref()) == (spec.view_box, region)
         {

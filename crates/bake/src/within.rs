@@ -16,7 +16,9 @@ impl Within {
     /// [`ForeignRegion`].
     pub fn of(spec: &JobSpec, scene: &Scene) -> Result<Option<Self>, ForeignRegion> {
         let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
-        region.map(|region| Reached::new(region, scene).map(Self)).transpose()
+        region
+            .map(|region| Reached::new(region, scene).map(Self))
+            .transpose()
     }
 
     /// The region for exact queries.

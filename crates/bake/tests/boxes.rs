@@ -1,6 +1,11 @@
 //! Boxes along walls: open boxes, of which walls in a face block.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 mod common;
 #[path = "common/cpu.rs"]
@@ -47,21 +52,37 @@ fn of_closed(prepared: &ExactScene, min: Vec3, max: Vec3) -> Vec<u32> {
 
 #[test]
 fn a_wall_in_a_face_blocks() {
-    let params = Params { triangles: Some(500), ..Params::default() };
+    let params = Params {
+        triangles: Some(500),
+        ..Params::default()
+    };
     let scene = Arc::new(generate(Kind::Rooms, &params).unwrap());
     let tree = along_walls(&scene, scene.bounds(), 14, &|_| true);
     let division = Division::Tree(Arc::new(tree));
     let mut sampled = JobSpec::new(scene.digest().0, division, scene.bounds());
     sampled.backend = BackendChoice::Cpu;
     sampled.sampling.cell_to_cell = sightline_model::CellToCell::Off;
-    let exact = JobSpec { method: Method::Exact, ..sampled.clone() };
-    let portals = JobSpec { method: Method::Portals, backend: BackendChoice::None, ..sampled.clone() };
+    let exact = JobSpec {
+        method: Method::Exact,
+        ..sampled.clone()
+    };
+    let portals = JobSpec {
+        method: Method::Portals,
+        backend: BackendChoice::None,
+        ..sampled.clone()
+    };
     [&sampled, &exact, &portals].into_iter().for_each(|spec| {
         spec.check().unwrap();
         assert_eq!(&JobSpec::from_proto(&spec.to_proto(), None).unwrap(), spec);
     });
-    let Some(backend) = cpu(&scene, &exact) else { return };
-    let control = Control { watcher: &Quiet, deadline: None, crew: &Alone };
+    let Some(backend) = cpu(&scene, &exact) else {
+        return;
+    };
+    let control = Control {
+        watcher: &Quiet,
+        deadline: None,
+        crew: &Alone,
+    };
     let prepared = BakeScene::new(Arc::clone(&scene)).unwrap();
     let queries = ExactScene::prepare(&scene).unwrap();
     let (lattice, plan) = exact.plan().unwrap();
@@ -79,21 +100,43 @@ fn a_wall_in_a_face_blocks() {
         let inner = of_closed(&queries, min + gap, max - gap);
         let closed = of_closed(&queries, min, max);
         assert!(is_part(&shown, &open), "box {number} shows what is hidden");
-        assert!(is_part(&inner, &open), "box {number} hides what is seen from the inside");
-        assert!(is_part(&open, &walls), "box {number}: portals hide what is seen");
-        assert!(is_part(&open, &closed), "box {number} sees more than the closed box");
+        assert!(
+            is_part(&inner, &open),
+            "box {number} hides what is seen from the inside"
+        );
+        assert!(
+            is_part(&open, &walls),
+            "box {number}: portals hide what is seen"
+        );
+        assert!(
+            is_part(&open, &closed),
+            "box {number} sees more than the closed box"
+        );
         open_sum += open.len();
         closed_sum += closed.len();
         inner_sum += inner.len();
     }
     // What touches a face from the inside is not seen from the box inside.
-    assert!(open_sum < closed_sum, "walls in faces hide something: {open_sum} of {closed_sum}");
-    assert!(open_sum < inner_sum * 6 / 5, "{open_sum} seen, {inner_sum} from a little inside");
+    assert!(
+        open_sum < closed_sum,
+        "walls in faces hide something: {open_sum} of {closed_sum}"
+    );
+    assert!(
+        open_sum < inner_sum * 6 / 5,
+        "{open_sum} seen, {inner_sum} from a little inside"
+    );
 }
 
 #[test]
 fn what_needs_equal_closed_cells_is_refused() {
-    let scene = generate(Kind::Rooms, &Params { triangles: Some(500), ..Params::default() }).unwrap();
+    let scene = generate(
+        Kind::Rooms,
+        &Params {
+            triangles: Some(500),
+            ..Params::default()
+        },
+    )
+    .unwrap();
     let tree = Arc::new(along_walls(&scene, scene.bounds(), 5, &|_| true));
     let good = JobSpec::new(scene.digest().0, Division::Tree(tree), scene.bounds());
     good.check().unwrap();
@@ -101,7 +144,11 @@ fn what_needs_equal_closed_cells_is_refused() {
     cubes.sampling.sampler = sightline_model::Sampler::Cubes;
     let mut pairs = good.clone();
     pairs.sampling.cell_to_cell = sightline_model::CellToCell::On;
-    let proofs = JobSpec { method: Method::Exact, certificates: true, ..good };
+    let proofs = JobSpec {
+        method: Method::Exact,
+        certificates: true,
+        ..good
+    };
     for other in [cubes, pairs, proofs] {
         assert!(other.check().is_err(), "{other:?}");
     }

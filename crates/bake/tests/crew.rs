@@ -1,7 +1,12 @@
 //! A crew gives the bytes of one member: whoever joins, leaves, lies or dies, and wherever a block is
 //! continued.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, RwLock};
@@ -44,7 +49,11 @@ struct Job {
 
 /// A town of a few houses with furniture; `None` without Embree. Under `CI` a missing Embree is a failure.
 fn job(change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
-    let params = Params { triangles: Some(20_000), seed: 3, ..Params::default() };
+    let params = Params {
+        triangles: Some(20_000),
+        seed: 3,
+        ..Params::default()
+    };
     job_of(Arc::new(generate(Kind::Town, &params).unwrap()), change)
 }
 
@@ -60,12 +69,20 @@ fn job_of(scene: Arc<Scene>, change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
         }
         Err(e) => panic!("{e}"),
     };
-    Some(Job { spec, scene: BakeScene::new(scene).unwrap(), backend })
+    Some(Job {
+        spec,
+        scene: BakeScene::new(scene).unwrap(),
+        backend,
+    })
 }
 
 impl Job {
     fn run(&self, watcher: &dyn Watcher, crew: &dyn Crew) -> Result<Vec<u8>, BakeError> {
-        let control = Control { watcher, deadline: None, crew };
+        let control = Control {
+            watcher,
+            deadline: None,
+            crew,
+        };
         run_tile(&self.spec, 0, &self.scene, &*self.backend, &[], control).map(|done| done.bytes)
     }
 
@@ -104,14 +121,23 @@ impl Hub {
     fn pass_on(&self, message: FromLeader) {
         let helpers = self.helpers.read().unwrap();
         match message {
-            FromLeader::Take { member, phase, items } => {
+            FromLeader::Take {
+                member,
+                phase,
+                items,
+            } => {
                 helpers[member as usize].hear(ToHelper::Take { phase, items });
             }
             FromLeader::Outcome { phase, bytes, .. } => {
                 let mut outcomes = self.outcomes.lock().unwrap();
                 assert_eq!(phase as usize, outcomes.len(), "outcomes come in order");
                 outcomes.push(bytes.to_vec());
-                helpers.iter().for_each(|h| h.hear(ToHelper::Outcome { phase, bytes: bytes.to_vec() }));
+                helpers.iter().for_each(|h| {
+                    h.hear(ToHelper::Outcome {
+                        phase,
+                        bytes: bytes.to_vec(),
+                    })
+                });
             }
             FromLeader::Dismiss(member) => helpers[member as usize].hear(ToHelper::End),
             FromLeader::End => helpers.iter().for_each(|h| h.hear(ToHelper::End)),
@@ -120,24 +146,45 @@ impl Hub {
 
     fn to_leader(&self, message: ToLeader) {
         let leader = self.leader.read().unwrap().clone();
-        leader.into_iter().for_each(|leader| leader.hear(message.clone()));
+        leader
+            .into_iter()
+            .for_each(|leader| leader.hear(message.clone()));
     }
 
     /// Passes on what helper number `member` says.
     fn pass_back(&self, member: u64, helps: Helps, message: FromHelper) {
         match message {
             FromHelper::Ask { phase } => self.to_leader(ToLeader::Ask { member, phase }),
-            FromHelper::Found { phase, items, finds } => {
+            FromHelper::Found {
+                phase,
+                items,
+                finds,
+            } => {
                 self.finds.lock().unwrap().push(phase);
                 match helps {
-                    Helps::Well => self.to_leader(ToLeader::Found { member, phase, items, finds }),
+                    Helps::Well => self.to_leader(ToLeader::Found {
+                        member,
+                        phase,
+                        items,
+                        finds,
+                    }),
                     Helps::Badly => {
                         let finds = vec![7; finds.len()];
-                        self.to_leader(ToLeader::Found { member, phase, items, finds });
+                        self.to_leader(ToLeader::Found {
+                            member,
+                            phase,
+                            items,
+                            finds,
+                        });
                     }
                     Helps::Never => {}
                     Helps::Once => {
-                        self.to_leader(ToLeader::Found { member, phase, items, finds });
+                        self.to_leader(ToLeader::Found {
+                            member,
+                            phase,
+                            items,
+                            finds,
+                        });
                         self.to_leader(ToLeader::Left(member));
                     }
                 }
@@ -151,7 +198,10 @@ impl Hub {
             let mut helpers = self.helpers.write().unwrap();
             let outcomes = self.outcomes.lock().unwrap();
             for (phase, bytes) in (0..).zip(outcomes.iter()) {
-                helper.hear(ToHelper::Outcome { phase, bytes: bytes.clone() });
+                helper.hear(ToHelper::Outcome {
+                    phase,
+                    bytes: bytes.clone(),
+                });
             }
             if self.is_over.load(Relaxed) {
                 helper.hear(ToHelper::End);
@@ -165,7 +215,11 @@ impl Hub {
 
 /// Runs the tile with helpers that come at once or after some milliseconds, from the outcomes of an earlier
 /// leader. Returns the bytes, all outcomes, and the number of pieces that helpers did.
-fn crewed(job: &Job, helpers: &[(Helps, u64)], earlier: &[Vec<u8>]) -> (Vec<u8>, Vec<Vec<u8>>, u64) {
+fn crewed(
+    job: &Job,
+    helpers: &[(Helps, u64)],
+    earlier: &[Vec<u8>],
+) -> (Vec<u8>, Vec<Vec<u8>>, u64) {
     let (bytes, outcomes, phases) = crewed_phases(job, helpers, earlier);
     (bytes, outcomes, phases.len() as u64)
 }
@@ -180,7 +234,11 @@ fn crewed_phases(
     hub.outcomes.lock().unwrap().extend(earlier.iter().cloned());
     let watch = Arc::new(Watch::default());
     let out = Arc::clone(&hub);
-    let leader = Arc::new(Leader::new(earlier.to_vec(), watch.clone(), move |message| out.pass_on(message)));
+    let leader = Arc::new(Leader::new(
+        earlier.to_vec(),
+        watch.clone(),
+        move |message| out.pass_on(message),
+    ));
     *hub.leader.write().unwrap() = Some(Arc::clone(&leader));
     let members: Vec<(Arc<Helper>, Arc<Watch>, u64)> = (0..)
         .zip(helpers)
@@ -190,7 +248,10 @@ fn crewed_phases(
             (Arc::new(Helper::new(watch.clone(), out)), watch, *delay)
         })
         .collect();
-    members.iter().filter(|(.., delay)| *delay == 0).for_each(|(helper, ..)| hub.joins(helper));
+    members
+        .iter()
+        .filter(|(.., delay)| *delay == 0)
+        .for_each(|(helper, ..)| hub.joins(helper));
     let bytes = std::thread::scope(|scope| {
         for (helper, watch, delay) in &members {
             let hub = &hub;
@@ -200,13 +261,20 @@ fn crewed_phases(
                     hub.joins(helper);
                 }
                 let ended = job.run(&**watch, &**helper);
-                assert!(matches!(ended, Err(BakeError::Cancelled)), "a helper has no output: {ended:?}");
+                assert!(
+                    matches!(ended, Err(BakeError::Cancelled)),
+                    "a helper has no output: {ended:?}"
+                );
             });
         }
         let bytes = job.run(&*watch, &*leader).unwrap();
         hub.is_over.store(true, Relaxed);
         // Also those that come when the leader has ended.
-        hub.helpers.read().unwrap().iter().for_each(|h| h.hear(ToHelper::End));
+        hub.helpers
+            .read()
+            .unwrap()
+            .iter()
+            .for_each(|h| h.hear(ToHelper::End));
         bytes
     });
     *hub.leader.write().unwrap() = None;
@@ -222,7 +290,12 @@ fn helpers_of_all_kinds_change_no_byte() {
     for helpers in [
         &[(Helps::Well, 0)][..],
         &[(Helps::Well, 0), (Helps::Well, 0), (Helps::Well, 30)],
-        &[(Helps::Badly, 0), (Helps::Never, 0), (Helps::Once, 0), (Helps::Well, 5)],
+        &[
+            (Helps::Badly, 0),
+            (Helps::Never, 0),
+            (Helps::Once, 0),
+            (Helps::Well, 5),
+        ],
     ] {
         let (bytes, _, finds) = crewed(&job, helpers, &[]);
         assert!(bytes == expected, "{} helpers", helpers.len());
@@ -236,10 +309,19 @@ fn every_kind_of_lines_can_be_shared() {
     let changes: [(&str, Change); 6] = [
         ("bound", |s| s.sampling.max_error = Some(5e-3)),
         ("pairs", |s| s.sampling.cell_to_cell = CellToCell::On),
-        ("clusters", |s| s.sampling.granularity = Granularity::Clusters),
+        ("clusters", |s| {
+            s.sampling.granularity = Granularity::Clusters
+        }),
         ("shares", |s| s.sampling.min_share = Some(1e-3)),
-        ("tree", |s| s.division = Division::Adaptive { budget: 3000, max_depth: 9 }),
-        ("guided", |s| (s.sampling.sampler, s.sampling.rays) = (Sampler::Guided, 4000)),
+        ("tree", |s| {
+            s.division = Division::Adaptive {
+                budget: 3000,
+                max_depth: 9,
+            }
+        }),
+        ("guided", |s| {
+            (s.sampling.sampler, s.sampling.rays) = (Sampler::Guided, 4000)
+        }),
     ];
     for (name, change) in changes {
         let Some(job) = job(change) else { return };
@@ -250,7 +332,9 @@ fn every_kind_of_lines_can_be_shared() {
 
 #[test]
 fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
-    let Some(job) = job(|s| s.sampling.cell_to_cell = CellToCell::On) else { return };
+    let Some(job) = job(|s| s.sampling.cell_to_cell = CellToCell::On) else {
+        return;
+    };
     let (expected, rays) = job.alone();
     let (_, outcomes, _) = crewed(&job, &[(Helps::Well, 0)], &[]);
     assert!(outcomes.len() > 6, "{}", outcomes.len());
@@ -260,14 +344,23 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
         let kept_too = Arc::clone(&later);
         let leader = Leader::new(outcomes[..kept].to_vec(), watch.clone(), move |message| {
             if let FromLeader::Outcome { phase, bytes, .. } = message {
-                kept_too.lock().unwrap().push((phase as usize, bytes.to_vec()));
+                kept_too
+                    .lock()
+                    .unwrap()
+                    .push((phase as usize, bytes.to_vec()));
             }
         });
-        assert!(job.run(&*watch, &leader).unwrap() == expected, "from outcome {kept}");
+        assert!(
+            job.run(&*watch, &leader).unwrap() == expected,
+            "from outcome {kept}"
+        );
         // The rays of known phases count as cast.
         assert_eq!(watch.rays.load(Relaxed), rays);
         for (phase, bytes) in later.lock().unwrap().drain(..) {
-            assert!(phase >= kept && bytes == outcomes[phase], "the outcome of phase {phase} is another");
+            assert!(
+                phase >= kept && bytes == outcomes[phase],
+                "the outcome of phase {phase} is another"
+            );
         }
     }
     let mut damaged = outcomes.clone();
@@ -277,17 +370,29 @@ fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
     damaged[4].clear();
     let watch = Arc::new(Watch::default());
     let leader = Leader::new(damaged, watch.clone(), |_| {});
-    assert!(job.run(&*watch, &leader).unwrap() == expected, "damaged outcomes are not used");
+    assert!(
+        job.run(&*watch, &leader).unwrap() == expected,
+        "damaged outcomes are not used"
+    );
 }
 
 #[test]
 fn exact_cells_are_decided_by_helpers_and_never_again() {
-    let scene = generate(Kind::Rooms, &Params { triangles: Some(600), ..Params::default() }).unwrap();
+    let scene = generate(
+        Kind::Rooms,
+        &Params {
+            triangles: Some(600),
+            ..Params::default()
+        },
+    )
+    .unwrap();
     let exact = |s: &mut JobSpec| {
         *s = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
         (s.method, s.certificates) = (Method::Exact, true);
     };
-    let Some(job) = job_of(Arc::new(scene.clone()), exact) else { return };
+    let Some(job) = job_of(Arc::new(scene.clone()), exact) else {
+        return;
+    };
     let (expected, _) = job.alone();
     // With a helper every outcome is handed over.
     let (_, outcomes, _) = crewed_phases(&job, &[(Helps::Never, 0)], &[]);
@@ -308,7 +413,10 @@ fn exact_cells_are_decided_by_helpers_and_never_again() {
         watch.reports.load(Relaxed)
     };
     let (with, without) = (reports(&outcomes), reports(&outcomes[..last as usize]));
-    assert!(with + 32 < without, "{with} reports with the cells decided, {without} without");
+    assert!(
+        with + 32 < without,
+        "{with} reports with the cells decided, {without} without"
+    );
 }
 
 #[test]
@@ -319,7 +427,9 @@ fn a_leader_learns_late_what_an_earlier_one_has_left() {
     assert!(outcomes.len() > 6, "{}", outcomes.len());
     let (watch, said) = (Arc::new(Watch::default()), Arc::new(Mutex::new(Vec::new())));
     let hears = Arc::clone(&said);
-    let leader = Leader::new(Vec::new(), watch.clone(), move |message| hears.lock().unwrap().push(message));
+    let leader = Leader::new(Vec::new(), watch.clone(), move |message| {
+        hears.lock().unwrap().push(message)
+    });
     assert_eq!(leader.phase(), 0);
     leader.learn(0, outcomes.clone());
     assert!(leader.reopened(outcomes.len() as u32, || {}));
@@ -328,7 +438,11 @@ fn a_leader_learns_late_what_an_earlier_one_has_left() {
     assert!(leader.has_ended());
     drop(leader);
     let said = std::mem::take(&mut *said.lock().unwrap());
-    assert_eq!(said, [FromLeader::End], "nothing is computed or handed over again, and the end is said once");
+    assert_eq!(
+        said,
+        [FromLeader::End],
+        "nothing is computed or handed over again, and the end is said once"
+    );
 }
 
 /// Tells its leader of earlier outcomes at the report with a number.
@@ -362,10 +476,18 @@ fn a_leader_may_learn_at_any_time() {
     let mut learned = 0;
     for at in [0, 1, 3, 6, 10, 15, 25, 40, 60, 100] {
         let (leader, reports) = (Mutex::default(), AtomicU64::new(0));
-        let tells = Arc::new(Tells { leader, outcomes: outcomes.clone(), at, reports });
+        let tells = Arc::new(Tells {
+            leader,
+            outcomes: outcomes.clone(),
+            at,
+            reports,
+        });
         let leader = Arc::new(Leader::new(Vec::new(), tells.clone(), |_| {}));
         *tells.leader.lock().unwrap() = Some(Arc::clone(&leader));
-        assert!(job.run(&*tells, &*leader).unwrap() == expected, "told at report {at}");
+        assert!(
+            job.run(&*tells, &*leader).unwrap() == expected,
+            "told at report {at}"
+        );
         learned += u64::from(tells.reports.load(Relaxed) > at);
         *tells.leader.lock().unwrap() = None;
     }
@@ -377,7 +499,9 @@ fn a_leader_that_goes_without_an_end_sends_its_helpers_away() {
     let said = Arc::new(Mutex::new(Vec::new()));
     let hears = Arc::clone(&said);
     let watch = Arc::new(Watch::default());
-    drop(Leader::new(Vec::new(), watch, move |message| hears.lock().unwrap().push(message)));
+    drop(Leader::new(Vec::new(), watch, move |message| {
+        hears.lock().unwrap().push(message)
+    }));
     assert_eq!(said.lock().unwrap()[..], [FromLeader::End]);
 }
 
@@ -403,5 +527,8 @@ fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
     assert_eq!(std::mem::take(&mut *heard.lock().unwrap()), [last]);
     assert!(leader.reopened(3, || {}));
     assert_eq!(heard.lock().unwrap()[..], all[3..]);
-    assert!(!leader.reopened(2, || {}), "the third one is not here any more");
+    assert!(
+        !leader.reopened(2, || {}),
+        "the third one is not here any more"
+    );
 }

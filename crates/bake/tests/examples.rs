@@ -17,5 +17,9 @@ fn the_example_bakes_cells_that_see_something() {
         Err(e) => panic!("{e}"),
     };
     assert_eq!(cells.len(), 32);
-    assert!(cells.iter().all(|c| c.visible.is_sorted() && !c.visible.is_empty()));
+    assert!(
+        cells
+            .iter()
+            .all(|c| c.visible.is_sorted() && !c.visible.is_empty())
+    );
 }

@@ -1,6 +1,11 @@
 //! Exact methods refuse scenes with alpha masks.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "a test")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "a test"
+)]
 
 use std::sync::Arc;
 
@@ -31,8 +36,13 @@ const FILE: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
 
 #[test]
 fn a_tile_is_sampled_and_not_decided() {
-    let options = Options { alpha_textures: true, ..Options::default() };
-    let scene = load_bytes_with("mask.gltf", FILE.as_bytes(), None, &options).unwrap().scene;
+    let options = Options {
+        alpha_textures: true,
+        ..Options::default()
+    };
+    let scene = load_bytes_with("mask.gltf", FILE.as_bytes(), None, &options)
+        .unwrap()
+        .scene;
     assert!(scene.kinds().any_masked());
     let scene = Arc::new(scene);
     let view = sightline_scene::Aabb::new([2.0; 3].into(), [3.0; 3].into());
@@ -46,12 +56,21 @@ fn a_tile_is_sampled_and_not_decided() {
         Err(e) => panic!("{e}"),
     };
     let scene = BakeScene::new(scene).unwrap();
-    let control = Control { watcher: &Silent, deadline: None, crew: &Alone };
+    let control = Control {
+        watcher: &Silent,
+        deadline: None,
+        crew: &Alone,
+    };
     let run = |spec: &JobSpec| run_tile(spec, 0, &scene, &backend, &[], control);
     assert!(run(&aggressive).is_ok());
     for method in [Method::Exact, Method::Verified] {
-        match run(&JobSpec { method, ..aggressive.clone() }) {
-            Err(BakeError::Tile(why)) => assert!(why.contains("use the method aggressive"), "{why}"),
+        match run(&JobSpec {
+            method,
+            ..aggressive.clone()
+        }) {
+            Err(BakeError::Tile(why)) => {
+                assert!(why.contains("use the method aggressive"), "{why}")
+            }
             other => panic!("{other:?}"),
         }
     }

@@ -1,6 +1,11 @@
 //! The method portals: its sets hold those of exact queries, and the bytes depend on nothing but the scene.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 mod common;
 #[path = "common/cpu.rs"]
@@ -16,13 +21,24 @@ use sightline_bake::{Alone, BakeScene, Control, run_portal_tile, run_tile};
 use sightline_exact::{Cell, ExactScene, Places, Task, decide};
 use sightline_model::{BackendChoice, CellSet, DecisionStats, JobSpec, Method, TileOutput, codec};
 use sightline_numbers::Aabb;
-use sightline_portals::{Enclosure, Limits, Partition, Reached, Tree, enclose, reached, region_of, sights};
+use sightline_portals::{
+    Enclosure, Limits, Partition, Reached, Tree, enclose, reached, region_of, sights,
+};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_viewcells::Division;
 
 fn rooms() -> Arc<Scene> {
-    Arc::new(generate(Kind::Rooms, &Params { triangles: Some(700), ..Params::default() }).unwrap())
+    Arc::new(
+        generate(
+            Kind::Rooms,
+            &Params {
+                triangles: Some(700),
+                ..Params::default()
+            },
+        )
+        .unwrap(),
+    )
 }
 
 fn spec(scene: &Scene) -> JobSpec {
@@ -41,8 +57,14 @@ fn cells(bytes: &[u8], scene: &Scene) -> Vec<CellSet> {
 
 fn by_portals(scene: &Arc<Scene>, deadline: Option<Instant>) -> Vec<u8> {
     let prepared = BakeScene::new(Arc::clone(scene)).unwrap();
-    let control = Control { watcher: &Quiet, deadline, crew: &Alone };
-    run_portal_tile(&spec(scene), 0, &prepared, control).unwrap().bytes
+    let control = Control {
+        watcher: &Quiet,
+        deadline,
+        crew: &Alone,
+    };
+    run_portal_tile(&spec(scene), 0, &prepared, control)
+        .unwrap()
+        .bytes
 }
 
 #[test]
@@ -50,9 +72,19 @@ fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
     let scene = rooms();
     let found = by_portals(&scene, None);
     assert_eq!(found, by_portals(&scene, None));
-    let exact = JobSpec { method: Method::Exact, backend: BackendChoice::Cpu, ..spec(&scene) };
-    let Some(backend) = cpu(&scene, &exact) else { return };
-    let control = Control { watcher: &Quiet, deadline: None, crew: &Alone };
+    let exact = JobSpec {
+        method: Method::Exact,
+        backend: BackendChoice::Cpu,
+        ..spec(&scene)
+    };
+    let Some(backend) = cpu(&scene, &exact) else {
+        return;
+    };
+    let control = Control {
+        watcher: &Quiet,
+        deadline: None,
+        crew: &Alone,
+    };
     let prepared = BakeScene::new(Arc::clone(&scene)).unwrap();
     let exact = run_tile(&exact, 0, &prepared, &backend, &[], control).unwrap();
     let exact = cells(&exact.bytes, &scene);
@@ -62,15 +94,25 @@ fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
         assert!(is_part(&exact.visible, &found.visible));
         let undecided = &found.decision.as_ref().unwrap().undecided;
         assert!(is_part(undecided, &found.visible));
-        let witnessed: Vec<u32> =
-            found.visible.iter().copied().filter(|t| undecided.binary_search(t).is_err()).collect();
+        let witnessed: Vec<u32> = found
+            .visible
+            .iter()
+            .copied()
+            .filter(|t| undecided.binary_search(t).is_err())
+            .collect();
         assert!(is_part(&witnessed, &exact.visible));
-        for (sum, n) in sums.iter_mut().zip([witnessed.len(), exact.visible.len(), found.visible.len()]) {
+        for (sum, n) in
+            sums.iter_mut()
+                .zip([witnessed.len(), exact.visible.len(), found.visible.len()])
+        {
             *sum += n;
         }
     }
     let [witnessed, seen, drawn] = sums;
-    assert!(2 * witnessed > seen && drawn < 2 * seen, "{witnessed} witnessed, {seen} seen, {drawn} drawn");
+    assert!(
+        2 * witnessed > seen && drawn < 2 * seen,
+        "{witnessed} witnessed, {seen} seen, {drawn} drawn"
+    );
     assert!(drawn < 12 * scene.len() as usize, "portals hide something");
 }
 
@@ -81,10 +123,18 @@ fn without_time_everything_may_be_seen() {
     for cell in cells(&by_portals(&scene, Some(past)), &scene) {
         let decision = cell.decision.unwrap();
         let counts = DecisionStats::NAMES.iter().zip(&decision.counts);
-        let of = |wanted: &str| counts.clone().find(|(name, _)| **name == wanted).map_or(0, |(_, n)| *n);
+        let of = |wanted: &str| {
+            counts
+                .clone()
+                .find(|(name, _)| **name == wanted)
+                .map_or(0, |(_, n)| *n)
+        };
         // Closed surfaces hide without portals.
         assert_eq!(of("exact_hidden"), of("exact_enclosed"));
-        assert_eq!(cell.visible.len() as u64 + of("exact_hidden"), u64::from(scene.len()));
+        assert_eq!(
+            cell.visible.len() as u64 + of("exact_hidden"),
+            u64::from(scene.len())
+        );
         assert!(!decision.undecided.is_empty() && of("undecided_stopped") > 0);
     }
 }
@@ -98,14 +148,19 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
             (p[(axis + 1) % 3], p[(axis + 2) % 3]) = (u[s], v[t]);
             p
         };
-        [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]]
-            .map(|t| Triangle { v: t.map(|(s, t)| corner(s, t)) })
+        [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]].map(|t| Triangle {
+            v: t.map(|(s, t)| corner(s, t)),
+        })
     };
     let mut walls = Vec::new();
     for k in 0..12 {
         let z = k as f32 / 4.0;
         (0..12).for_each(|x| {
-            walls.extend(rectangle(1, 0.0, [[z, z + 0.25], [x as f32 / 4.0, x as f32 / 4.0 + 0.25]]))
+            walls.extend(rectangle(
+                1,
+                0.0,
+                [[z, z + 0.25], [x as f32 / 4.0, x as f32 / 4.0 + 0.25]],
+            ))
         });
     }
     walls.extend(rectangle(1, 1.0, [[0.0, 3.0], [0.0, 3.0]]));
@@ -118,18 +173,29 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
             walls.extend(rectangle(0, x, [[0.0, 1.0], [z, z + 1.0]]));
         }
     }
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: walls.len() as u32 }];
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: walls.len() as u32,
+    }];
     let scene = Scene::new("test", walls, objects).unwrap();
     let seed = [[0.5, 0.5, 0.5]];
     let mut tree = Tree::new(&scene, &seed);
-    assert_eq!(enclose(&mut tree, &seed, Limits::default(), &mut |_| true), Enclosure::Closed);
+    assert_eq!(
+        enclose(&mut tree, &seed, Limits::default(), &mut |_| true),
+        Enclosure::Closed
+    );
     let region = region_of(&tree, &reached(&tree, &seed)).unwrap();
     let places = Reached::new(&region, &scene).unwrap();
     let prepared = ExactScene::prepare(&scene).unwrap();
     for within in [None, Some(&region)] {
-        let partition = Partition::new(&scene, within, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let partition =
+            Partition::new(&scene, within, scene.bounds(), Limits::default(), &|| false).unwrap();
         for x in 0..3 {
-            let (min, max) = (Vec3::new(x as f32, 0.0, 0.0), Vec3::new(x as f32 + 1.0, 1.0, 3.0));
+            let (min, max) = (
+                Vec3::new(x as f32, 0.0, 0.0),
+                Vec3::new(x as f32 + 1.0, 1.0, 3.0),
+            );
             let listed = sights(&partition, Aabb::new(min, max), false, &|| false).unwrap();
             let decided = |listed: Option<&[u32]>| {
                 decide(&Task {
@@ -148,10 +214,16 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
                 .visible
             };
             let alone = decided(None);
-            assert!(alone.iter().all(|t| listed.binary_search(t).is_ok()), "cell {x} sees what is hidden");
+            assert!(
+                alone.iter().all(|t| listed.binary_search(t).is_ok()),
+                "cell {x} sees what is hidden"
+            );
             assert_eq!(alone, decided(Some(&listed)));
             // The room in the middle sees all.
-            assert!(x == 1 || listed.len() < scene.len() as usize, "walls hide something from cell {x}");
+            assert!(
+                x == 1 || listed.len() < scene.len() as usize,
+                "walls hide something from cell {x}"
+            );
         }
     }
 }
@@ -161,10 +233,25 @@ fn what_needs_samples_or_proofs_is_refused() {
     let scene = rooms();
     let good = spec(&scene);
     let mut others = vec![
-        JobSpec { certificates: true, ..good.clone() },
-        JobSpec { backend: BackendChoice::Cpu, ..good.clone() },
-        JobSpec { division: Division::Adaptive { budget: 5, max_depth: 6 }, ..good.clone() },
-        JobSpec { method: Method::Exact, ..good.clone() },
+        JobSpec {
+            certificates: true,
+            ..good.clone()
+        },
+        JobSpec {
+            backend: BackendChoice::Cpu,
+            ..good.clone()
+        },
+        JobSpec {
+            division: Division::Adaptive {
+                budget: 5,
+                max_depth: 6,
+            },
+            ..good.clone()
+        },
+        JobSpec {
+            method: Method::Exact,
+            ..good.clone()
+        },
     ];
     let mut sampled = good.clone();
     sampled.sampling.contributions = true;

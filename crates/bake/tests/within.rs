@@ -1,7 +1,12 @@
 //! Sets of a region: what is strictly seen from a point of the region is in the set of the point's cell, and
 //! the sets of the region are parts of those of whole cells.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 mod common;
 
@@ -23,7 +28,11 @@ use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL, Viewpoints};
 const CELLS: [u32; 3] = [3, 2, 2];
 
 /// The sets of a scene's cells; `None` without Embree, which under `CI` is a failure.
-fn sets(scene: &Arc<Scene>, method: Method, viewpoints: Option<Viewpoints>) -> Option<Vec<CellSet>> {
+fn sets(
+    scene: &Arc<Scene>,
+    method: Method,
+    viewpoints: Option<Viewpoints>,
+) -> Option<Vec<CellSet>> {
     let mut spec = JobSpec::new(scene.digest().0, Division::Grid(CELLS), scene.bounds());
     (spec.method, spec.viewpoints) = (method, viewpoints.map(Arc::new));
     spec.sampling.target_error = 1e-3;
@@ -37,7 +46,11 @@ fn sets(scene: &Arc<Scene>, method: Method, viewpoints: Option<Viewpoints>) -> O
         Err(e) => panic!("{e}"),
     };
     let prepared = BakeScene::new(Arc::clone(scene)).unwrap();
-    let control = Control { watcher: &Quiet, deadline: None, crew: &Alone };
+    let control = Control {
+        watcher: &Quiet,
+        deadline: None,
+        crew: &Alone,
+    };
     let done = run_tile(&spec, 0, &prepared, &backend, &[], control).unwrap();
     match codec::decode(&done.bytes, scene.len()).unwrap() {
         TileOutput::Cells(sets) => Some(sets.cells),
@@ -52,8 +65,16 @@ fn strictly_seen(scene: &Scene, p: Vec3, q: Vec3) -> Option<u32> {
 
 #[test]
 fn what_is_seen_from_a_room_is_in_the_sets_of_its_region() {
-    let scene =
-        Arc::new(generate(Kind::Rooms, &Params { triangles: Some(700), ..Params::default() }).unwrap());
+    let scene = Arc::new(
+        generate(
+            Kind::Rooms,
+            &Params {
+                triangles: Some(700),
+                ..Params::default()
+            },
+        )
+        .unwrap(),
+    );
     let mut random = SplitMix64::new(5);
     let bounds = scene.bounds();
     let mut point = |of: Aabb| {
@@ -97,26 +118,42 @@ fn what_is_seen_from_a_room_is_in_the_sets_of_its_region() {
         (0..64).for_each(|k| marks.mark(each(k)));
     }
     let within = marks.clone().within(Some(region));
-    let Some(sampled) = sets(&scene, Method::Aggressive, Some(within.clone())) else { return };
-    let Some(exact) = sets(&scene, Method::Exact, Some(within)) else { return };
-    let Some(whole) = sets(&scene, Method::Exact, Some(marks)) else { return };
-    let is_part = |a: &CellSet, b: &CellSet| a.visible.iter().all(|t| b.visible.binary_search(t).is_ok());
+    let Some(sampled) = sets(&scene, Method::Aggressive, Some(within.clone())) else {
+        return;
+    };
+    let Some(exact) = sets(&scene, Method::Exact, Some(within)) else {
+        return;
+    };
+    let Some(whole) = sets(&scene, Method::Exact, Some(marks)) else {
+        return;
+    };
+    let is_part =
+        |a: &CellSet, b: &CellSet| a.visible.iter().all(|t| b.visible.binary_search(t).is_ok());
     for ((sampled, exact), whole) in sampled.iter().zip(&exact).zip(&whole) {
         assert!(is_part(sampled, exact) && is_part(exact, whole));
         assert_eq!(exact.decision.as_ref().map(|d| d.undecided.len()), Some(0));
     }
     let sum = |sets: &[CellSet]| sets.iter().map(|s| s.visible.len()).sum::<usize>();
-    assert!(sum(&exact) < sum(&whole), "{} in the region, {} in whole cells", sum(&exact), sum(&whole));
+    assert!(
+        sum(&exact) < sum(&whole),
+        "{} in the region, {} in whole cells",
+        sum(&exact),
+        sum(&whole)
+    );
     let mut seen = 0;
     for (of, set) in boxes.iter().zip(&exact).filter(|(_, set)| !set.unreached) {
         for _ in 0..1500 {
             let (p, q) = (point(*of), point(bounds));
             let far = p + (q - p) * 4.0;
             if reach.holds(p)
-                && let Some(id) = strictly_seen(&scene, p, far).or_else(|| strictly_seen(&scene, p, q))
+                && let Some(id) =
+                    strictly_seen(&scene, p, far).or_else(|| strictly_seen(&scene, p, q))
             {
                 seen += 1;
-                assert!(set.visible.binary_search(&id).is_ok(), "triangle {id} is seen from {p}");
+                assert!(
+                    set.visible.binary_search(&id).is_ok(),
+                    "triangle {id} is seen from {p}"
+                );
             }
         }
     }

@@ -18,16 +18,30 @@ impl Axis {
         let low = logs.clone().fold(f64::INFINITY, f64::min);
         let high = logs.fold(f64::NEG_INFINITY, f64::max);
         if low > high {
-            return Self { least: 0, most: 1, from, to };
+            return Self {
+                least: 0,
+                most: 1,
+                from,
+                to,
+            };
         }
         let least = low.floor() as i32;
-        Self { least, most: (high.ceil() as i32).max(least + 1), from, to }
+        Self {
+            least,
+            most: (high.ceil() as i32).max(least + 1),
+            from,
+            to,
+        }
     }
 
     /// Where a value is; what has no logarithm is at the lower end.
     pub fn at(&self, value: f64) -> f64 {
         let (least, most) = (f64::from(self.least), f64::from(self.most));
-        let log = if value > 0.0 { value.log10().clamp(least, most) } else { least };
+        let log = if value > 0.0 {
+            value.log10().clamp(least, most)
+        } else {
+            least
+        };
         self.from + (log - least) / (most - least) * (self.to - self.from)
     }
 
@@ -58,7 +72,10 @@ mod tests {
         assert_eq!((axis.least, axis.most), (-1, 2));
         assert!((axis.at(1.0) - 100.0).abs() < 1e-9);
         assert_eq!(axis.at(0.0), 0.0);
-        assert_eq!(axis.ticks().0.into_iter().map(decade).collect::<Vec<_>>(), ["0.1", "1", "10", "100"]);
+        assert_eq!(
+            axis.ticks().0.into_iter().map(decade).collect::<Vec<_>>(),
+            ["0.1", "1", "10", "100"]
+        );
         let flat = Axis::over([10.0].into_iter(), 0.0, 1.0);
         assert_eq!((flat.least, flat.most), (1, 2));
     }

@@ -40,7 +40,11 @@ impl Children {
             // Nobody listens when the command is ending anyway.
             let _ = stop.send(Event::Stop);
         }));
-        Self { program: host.program.clone(), events, sender }
+        Self {
+            program: host.program.clone(),
+            events,
+            sender,
+        }
     }
 
     /// Runs `sightline --json ARGUMENTS…`; what it printed, and what it took from start to exit.
@@ -53,7 +57,10 @@ impl Children {
         }
         let mut command = Command::new(&self.program);
         command.arg("--json").args(arguments);
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
         let before = Ticks::now();
         let start = Instant::now();
         let mut child = command.spawn().map_err(|e| {
@@ -67,14 +74,23 @@ impl Children {
         }
         let status = child.wait().map_err(BenchError::internal)?;
         let wall = start.elapsed().as_secs_f64();
-        let load = Ticks::now().zip(before).map(|(now, before)| now.since(before));
-        let Ok(Event::Said(said)) = event else { return Err(interrupted()) };
+        let load = Ticks::now()
+            .zip(before)
+            .map(|(now, before)| now.since(before));
+        let Ok(Event::Said(said)) = event else {
+            return Err(interrupted());
+        };
         if !status.success() {
             let complaints = complaints.and_then(|c| c.join().ok()).unwrap_or_default();
-            return Err(failure(status.code(), &String::from_utf8_lossy(&complaints), &command));
+            return Err(failure(
+                status.code(),
+                &String::from_utf8_lossy(&complaints),
+                &command,
+            ));
         }
-        let value: Value = serde_json::from_slice(&said)
-            .map_err(|e| BenchError::Internal(format!("{} printed no JSON: {e}", shown(&command))))?;
+        let value: Value = serde_json::from_slice(&said).map_err(|e| {
+            BenchError::Internal(format!("{} printed no JSON: {e}", shown(&command)))
+        })?;
         let cpu = value["cpu_seconds"].as_f64();
         Ok((value, Took { wall, cpu, load }))
     }
@@ -108,7 +124,10 @@ fn interrupted() -> BenchError {
 
 /// The child's own words, with the exit code that it chose.
 fn failure(code: Option<i32>, complaints: &str, command: &Command) -> BenchError {
-    let last = complaints.lines().rev().find_map(|l| l.strip_prefix("error: "));
+    let last = complaints
+        .lines()
+        .rev()
+        .find_map(|l| l.strip_prefix("error: "));
     let why = format!("{}: {}", shown(command), last.unwrap_or(complaints.trim()));
     match code {
         Some(2) => BenchError::Usage(why),
@@ -118,18 +137,26 @@ fn failure(code: Option<i32>, complaints: &str, command: &Command) -> BenchError
         // At a terminal Ctrl-C reaches the child as well, and it may be first.
         Some(130) => interrupted(),
         Some(_) => BenchError::Internal(why),
-        None => BenchError::Internal(format!("{} was killed; was there enough memory?", shown(command))),
+        None => BenchError::Internal(format!(
+            "{} was killed; was there enough memory?",
+            shown(command)
+        )),
     }
 }
 
 fn shown(command: &Command) -> String {
-    let words = command.get_args().map(|a| a.to_string_lossy()).collect::<Vec<_>>();
+    let words = command
+        .get_args()
+        .map(|a| a.to_string_lossy())
+        .collect::<Vec<_>>();
     format!("sightline {}", words.join(" "))
 }
 
 /// A number of a child's JSON.
 pub fn number(value: &Value, key: &str) -> Result<f64, BenchError> {
-    value[key].as_f64().ok_or_else(|| BenchError::Internal(format!("the output has no number {key}")))
+    value[key]
+        .as_f64()
+        .ok_or_else(|| BenchError::Internal(format!("the output has no number {key}")))
 }
 
 #[cfg(test)]
@@ -140,8 +167,17 @@ mod tests {
     fn a_childs_failure_keeps_its_kind_and_its_words() {
         let command = Command::new("sightline");
         let e = failure(Some(3), "noise\nerror: a.glb: not there\n", &command);
-        assert!(matches!(&e, BenchError::Input(m) if m.ends_with("a.glb: not there")), "{e}");
-        assert!(matches!(failure(Some(130), "", &command), BenchError::Interrupted(_)));
-        assert!(matches!(failure(None, "", &command), BenchError::Internal(_)));
+        assert!(
+            matches!(&e, BenchError::Input(m) if m.ends_with("a.glb: not there")),
+            "{e}"
+        );
+        assert!(matches!(
+            failure(Some(130), "", &command),
+            BenchError::Interrupted(_)
+        ));
+        assert!(matches!(
+            failure(None, "", &command),
+            BenchError::Internal(_)
+        ));
     }
 }

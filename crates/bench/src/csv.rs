@@ -51,7 +51,9 @@ pub fn curves(scenes: &[SceneCurves]) -> Result<String, BenchError> {
         "undecided_share",
         "greatest_bound",
     ];
-    let points = scenes.iter().flat_map(|scene| scene.points.iter().map(move |p| (scene, p)));
+    let points = scenes
+        .iter()
+        .flat_map(|scene| scene.points.iter().map(move |p| (scene, p)));
     file(
         header,
         points.map(|(scene, p)| {
@@ -130,7 +132,10 @@ mod tests {
         let scenes = [crate::curves::tests::example("a,b")];
         let text = curves(&scenes).unwrap();
         assert!(text.starts_with("scene,sampler,parameter,seconds,"));
-        assert!(text.contains("\n\"a,b\",") && !text.contains('\r'), "{text}");
+        assert!(
+            text.contains("\n\"a,b\",") && !text.contains('\r'),
+            "{text}"
+        );
         assert_eq!(text.lines().count(), 1 + scenes[0].points.len());
     }
 

@@ -81,18 +81,28 @@ impl SceneCurves {
 
     /// The samplers whose curves show this, in the order asked for.
     pub fn showing(&self, shows: Shows) -> Vec<Sampler> {
-        self.samplers.iter().copied().filter(|s| s.shows() == shows).collect()
+        self.samplers
+            .iter()
+            .copied()
+            .filter(|s| s.shows() == shows)
+            .collect()
     }
 
     /// Seconds a sampler needs for a mean error.
     pub fn needed(&self, sampler: Sampler, error: f64) -> Needed {
-        let points: Vec<_> = self.of(sampler).map(|p| (p.times.seconds, p.mean_error)).collect();
+        let points: Vec<_> = self
+            .of(sampler)
+            .map(|p| (p.times.seconds, p.mean_error))
+            .collect();
         frontier::needed(&points, error)
     }
 
     /// How many times longer the baseline takes than lines.
     pub fn ratio(&self, error: f64) -> Option<Ratio> {
-        frontier::ratio(self.needed(Sampler::Guided, error), self.needed(Sampler::Lines, error))
+        frontier::ratio(
+            self.needed(Sampler::Guided, error),
+            self.needed(Sampler::Lines, error),
+        )
     }
 }
 
@@ -118,12 +128,19 @@ pub fn measure(
             points.push(point);
             if let (Some(why), Some(_)) = (enough, rungs.peek()) {
                 let (scene, sampler) = (&input.name, sampler.name());
-                (host.say)(&format!("{scene}, {sampler}: finer points are left out, as this one {why}"));
+                (host.say)(&format!(
+                    "{scene}, {sampler}: finer points are left out, as this one {why}"
+                ));
                 break;
             }
         }
     }
-    Ok(SceneCurves { scene: input.name.clone(), triangles: input.triangles, samplers, points })
+    Ok(SceneCurves {
+        scene: input.name.clone(),
+        triangles: input.triangles,
+        samplers,
+        points,
+    })
 }
 
 /// A point in a line of progress.
@@ -136,7 +153,10 @@ fn in_words(point: &Point) -> String {
         }
         Shows::Undecided => format!("{seconds} s, {} undecided", percent(point.undecided_share)),
         Shows::CellTime => {
-            format!("{seconds} s, {} s a cell", frontier::seconds(point.cell_seconds()))
+            format!(
+                "{seconds} s, {} s a cell",
+                frontier::seconds(point.cell_seconds())
+            )
         }
     }
 }
@@ -145,9 +165,15 @@ fn in_words(point: &Point) -> String {
 fn enough(args: &Options, point: &Point) -> Option<String> {
     let shows = point.sampler.shows();
     if point.times.seconds > args.max_seconds {
-        Some(format!("took more than {} s (--max-seconds)", args.max_seconds))
+        Some(format!(
+            "took more than {} s (--max-seconds)",
+            args.max_seconds
+        ))
     } else if shows == Shows::Error && point.mean_error <= args.least_error {
-        Some(format!("has no more than {} wrong (--least-error)", percent(args.least_error)))
+        Some(format!(
+            "has no more than {} wrong (--least-error)",
+            percent(args.least_error)
+        ))
     } else if shows == Shows::Undecided && point.undecided_share <= 0.0 {
         Some("leaves nothing undecided".to_owned())
     } else {
@@ -168,15 +194,27 @@ fn point(
         None => args.division(args.cells),
         Some(most) => args.block(most, input.bounds),
     };
-    let flags: Vec<_> = division.into_iter().chain(rung.flags).map(OsString::from).collect();
+    let flags: Vec<_> = division
+        .into_iter()
+        .chain(rung.flags)
+        .map(OsString::from)
+        .collect();
     let runs = repeats::bake(args, host, children, &input.path, &flags, name)?;
-    let mut line: Vec<OsString> = vec!["measure".into(), input.path.clone().into(), runs.result().into()];
+    let mut line: Vec<OsString> = vec![
+        "measure".into(),
+        input.path.clone().into(),
+        runs.result().into(),
+    ];
     let flags = [
         ("--viewpoints", args.viewpoints.to_string()),
         ("--seed", args.seed.to_string()),
         ("--resolution", args.resolution.to_string()),
     ];
-    line.extend(flags.into_iter().flat_map(|(flag, value)| [flag.into(), value.into()]));
+    line.extend(
+        flags
+            .into_iter()
+            .flat_map(|(flag, value)| [flag.into(), value.into()]),
+    );
     let (measured, _) = children.run(line)?;
     let bake = runs.first();
     Ok(Point {
@@ -202,7 +240,11 @@ fn undecided(runs: &Runs) -> Result<f64, BenchError> {
         let pairs = number(bake, "cells")? * number(bake, "triangles")?;
         Ok(number(bake, "undecided")? / pairs.max(1.0))
     };
-    let shares = runs.documents.iter().map(share).collect::<Result<Vec<_>, BenchError>>()?;
+    let shares = runs
+        .documents
+        .iter()
+        .map(share)
+        .collect::<Result<Vec<_>, BenchError>>()?;
     Ok(Spread::of(&shares).map_or(0.0, |s| s.median))
 }
 
@@ -220,7 +262,11 @@ pub mod tests {
         for &sampler in Sampler::value_variants() {
             let rungs = sampler.rungs(Ladder::Quick);
             for (i, rung) in rungs.iter().enumerate() {
-                let error = if i + 1 < rungs.len() { 0.1f64.powi(i as i32 + 1) } else { 0.0 };
+                let error = if i + 1 < rungs.len() {
+                    0.1f64.powi(i as i32 + 1)
+                } else {
+                    0.0
+                };
                 let wall = 0.4 * f64::powi(3.0, i as i32);
                 points.push(Point {
                     sampler,
@@ -244,24 +290,45 @@ pub mod tests {
             }
         }
         let samplers = Sampler::value_variants().to_vec();
-        SceneCurves { scene: name.to_owned(), triangles: 12, samplers, points }
+        SceneCurves {
+            scene: name.to_owned(),
+            triangles: 12,
+            samplers,
+            points,
+        }
     }
 
     #[test]
     fn a_sampler_ends_where_finer_points_tell_nothing_more() {
-        let args = Options { max_seconds: 10.0, ..Options::default() };
+        let args = Options {
+            max_seconds: 10.0,
+            ..Options::default()
+        };
         let scene = example("a");
         let last = |sampler| scene.of(sampler).last().unwrap().clone();
         let why = |point: &Point| enough(&args, point).unwrap_or_default();
-        let slow = Point { times: Times { seconds: 11.0, ..Times::default() }, ..last(Sampler::Exact) };
+        let slow = Point {
+            times: Times {
+                seconds: 11.0,
+                ..Times::default()
+            },
+            ..last(Sampler::Exact)
+        };
         assert!(why(&slow).contains("--max-seconds"));
         let mut good = last(Sampler::Lines);
         good.times.seconds = 1.0;
         assert!(why(&good).contains("--least-error"));
         // An exact result has no error, which is no reason to end.
-        let quick = Point { times: good.times.clone(), ..last(Sampler::Exact) };
+        let quick = Point {
+            times: good.times.clone(),
+            ..last(Sampler::Exact)
+        };
         assert_eq!(why(&quick), "");
-        let mut open = Point { undecided_share: 0.1, times: good.times, ..last(Sampler::Verified) };
+        let mut open = Point {
+            undecided_share: 0.1,
+            times: good.times,
+            ..last(Sampler::Verified)
+        };
         assert_eq!(why(&open), "");
         open.undecided_share = 0.0;
         assert!(why(&open).contains("nothing undecided"));

@@ -88,7 +88,9 @@ pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
     let kept = envelope(points);
     // Errors fall: the first that is good enough has the last that is not before it.
     let Some(i) = kept.iter().position(|p| p.1 <= error) else {
-        return kept.last().map_or(Needed::Unknown, |slowest| Needed::MoreThan(slowest.0));
+        return kept
+            .last()
+            .map_or(Needed::Unknown, |slowest| Needed::MoreThan(slowest.0));
     };
     let (s, e) = kept[i];
     if e >= error {
@@ -108,7 +110,9 @@ pub fn needed(points: &[(f64, f64)], error: f64) -> Needed {
 pub fn ratio(baseline: Needed, other: Needed) -> Option<Ratio> {
     match (baseline, other) {
         (Needed::Seconds(b), Needed::Seconds(o)) if o > 0.0 => Some(Ratio::Is(b / o)),
-        (Needed::Seconds(b) | Needed::MoreThan(b), Needed::Seconds(o) | Needed::AtMost(o)) if o > 0.0 => {
+        (Needed::Seconds(b) | Needed::MoreThan(b), Needed::Seconds(o) | Needed::AtMost(o))
+            if o > 0.0 =>
+        {
             Some(Ratio::AtLeast(b / o))
         }
         _ => None,
@@ -120,7 +124,11 @@ pub fn geometric_mean(ratios: &[Ratio]) -> Option<Ratio> {
     let sum: f64 = ratios.iter().map(|r| r.least().ln()).sum();
     let mean = (sum / ratios.len() as f64).exp();
     let known = ratios.iter().all(|r| matches!(r, Ratio::Is(_)));
-    (!ratios.is_empty()).then_some(if known { Ratio::Is(mean) } else { Ratio::AtLeast(mean) })
+    (!ratios.is_empty()).then_some(if known {
+        Ratio::Is(mean)
+    } else {
+        Ratio::AtLeast(mean)
+    })
 }
 
 #[cfg(test)]
@@ -137,7 +145,10 @@ mod tests {
     #[test]
     fn a_power_law_is_met_exactly() {
         // error = 0.1 / seconds^2
-        let points: Vec<_> = [1.0, 3.0, 10.0, 50.0].iter().map(|&s| (s, 0.1 / (s * s))).collect();
+        let points: Vec<_> = [1.0, 3.0, 10.0, 50.0]
+            .iter()
+            .map(|&s| (s, 0.1 / (s * s)))
+            .collect();
         for error in [0.05, 0.01, 0.003, 0.001, 0.0001] {
             assert_seconds(needed(&points, error), f64::sqrt(0.1 / error));
         }
@@ -155,13 +166,23 @@ mod tests {
         assert_eq!(needed(&[(2.0, 0.01)], 0.1), Needed::AtMost(2.0));
         assert_eq!(needed(&[(2.0, 0.01)], 0.001), Needed::MoreThan(2.0));
         // A slower point that is worse says nothing.
-        assert_eq!(needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001), Needed::MoreThan(1.0));
+        assert_eq!(
+            needed(&[(1.0, 0.01), (3.0, 0.02)], 0.001),
+            Needed::MoreThan(1.0)
+        );
     }
 
     #[test]
     fn a_point_counts_only_if_no_faster_one_is_as_good() {
         // Slower and worse, slower and equal, as fast and worse; in no order.
-        let points = [(10.0, 0.001), (2.0, 0.02), (1.0, 0.01), (11.0, 0.001), (10.0, 0.005), (5.0, 0.01)];
+        let points = [
+            (10.0, 0.001),
+            (2.0, 0.02),
+            (1.0, 0.01),
+            (11.0, 0.001),
+            (10.0, 0.005),
+            (5.0, 0.01),
+        ];
         assert_eq!(envelope(&points), [(1.0, 0.01), (10.0, 0.001)]);
         assert_seconds(needed(&points, f64::sqrt(1e-5)), f64::sqrt(10.0));
     }
@@ -177,9 +198,11 @@ mod tests {
     fn ratios_say_what_is_known_and_means_are_geometric() {
         use Needed::{AtMost, MoreThan, Seconds, Unknown};
         assert_eq!(ratio(Seconds(6.0), Seconds(2.0)), Some(Ratio::Is(3.0)));
-        for (baseline, other) in
-            [(Seconds(6.0), AtMost(2.0)), (MoreThan(6.0), Seconds(2.0)), (MoreThan(6.0), AtMost(2.0))]
-        {
+        for (baseline, other) in [
+            (Seconds(6.0), AtMost(2.0)),
+            (MoreThan(6.0), Seconds(2.0)),
+            (MoreThan(6.0), AtMost(2.0)),
+        ] {
             assert_eq!(ratio(baseline, other), Some(Ratio::AtLeast(3.0)));
         }
         // The baseline may take less, or the other more.
@@ -193,12 +216,17 @@ mod tests {
             assert_eq!(ratio(baseline, other), None);
         }
         let mean = |ratios: &[Ratio]| geometric_mean(ratios).unwrap();
-        assert!(matches!(mean(&[Ratio::Is(2.0), Ratio::Is(8.0)]), Ratio::Is(m) if (m - 4.0).abs() < 1e-12));
+        assert!(
+            matches!(mean(&[Ratio::Is(2.0), Ratio::Is(8.0)]), Ratio::Is(m) if (m - 4.0).abs() < 1e-12)
+        );
         assert!(matches!(
             mean(&[Ratio::Is(2.0), Ratio::AtLeast(8.0)]),
             Ratio::AtLeast(m) if (m - 4.0).abs() < 1e-12
         ));
         assert_eq!(geometric_mean(&[]), None);
-        assert_eq!([Ratio::Is(2.559), Ratio::AtLeast(2.559)].map(Ratio::text), ["2.56", "≥ 2.55"]);
+        assert_eq!(
+            [Ratio::Is(2.559), Ratio::AtLeast(2.559)].map(Ratio::text),
+            ["2.56", "≥ 2.55"]
+        );
     }
 }

@@ -17,7 +17,13 @@ use crate::timing::Times;
 
 /// How every one of these bakes is sampled.
 pub fn sampling(args: &Options) -> [String; 4] {
-    ["--sampler", "lines", "--target-error", &args.grow_error.to_string()].map(str::to_owned)
+    [
+        "--sampler",
+        "lines",
+        "--target-error",
+        &args.grow_error.to_string(),
+    ]
+    .map(str::to_owned)
 }
 
 /// One bake.
@@ -118,7 +124,11 @@ fn bake(
         None => ("forest".to_owned(), forest(children, folder.path(), value)?),
     };
     let mut flags: Vec<_> = sampling(args).map(OsString::from).to_vec();
-    let cells = if grows == Growth::Cells { [value; 3] } else { args.cells };
+    let cells = if grows == Growth::Cells {
+        [value; 3]
+    } else {
+        args.cells
+    };
     let division = match scene {
         Some(_) => args.division(cells),
         // The view box is of the given scenes.
@@ -126,7 +136,11 @@ fn bake(
     };
     flags.extend(division.into_iter().map(OsString::from));
     let workers = (grows == Growth::Workers).then_some(value);
-    flags.extend(workers.into_iter().flat_map(|w| [OsString::from("--workers"), w.to_string().into()]));
+    flags.extend(
+        workers
+            .into_iter()
+            .flat_map(|w| [OsString::from("--workers"), w.to_string().into()]),
+    );
     let called = format!("growth of {}, {name} at {value}", grows.name());
     let runs = repeats::bake(args, host, children, &path, &flags, &called)?;
     let baked = runs.first();
@@ -142,10 +156,18 @@ fn bake(
     })
 }
 
-fn forest(children: &Children, folder: &Path, triangles: u32) -> Result<std::path::PathBuf, BenchError> {
+fn forest(
+    children: &Children,
+    folder: &Path,
+    triangles: u32,
+) -> Result<std::path::PathBuf, BenchError> {
     let path = folder.join("forest.glb");
     let words = ["generate", "forest", "--triangles"].map(OsString::from);
-    let rest = [triangles.to_string().into(), "-o".into(), path.clone().into()];
+    let rest = [
+        triangles.to_string().into(),
+        "-o".into(),
+        path.clone().into(),
+    ];
     children.run(words.into_iter().chain(rest))?;
     Ok(path)
 }

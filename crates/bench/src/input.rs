@@ -21,13 +21,27 @@ pub struct Input {
 
 /// Reads every scene once: faults show before the first bake, and no bake waits for the disk.
 pub fn inputs(paths: &[PathBuf]) -> Result<Vec<Input>, BenchError> {
-    let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let stem = |p: &Path| {
+        p.file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
     let mut inputs = Vec::new();
     for path in paths {
         let alone = paths.iter().filter(|p| stem(p) == stem(path)).count() == 1;
-        let name = if alone { stem(path) } else { path.display().to_string() };
+        let name = if alone {
+            stem(path)
+        } else {
+            path.display().to_string()
+        };
         let scene = sightline_scene::load(path).map_err(|e| BenchError::Input(e.to_string()))?;
-        inputs.push(Input { path: path.clone(), name, triangles: scene.len(), bounds: scene.bounds() });
+        inputs.push(Input {
+            path: path.clone(),
+            name,
+            triangles: scene.len(),
+            bounds: scene.bounds(),
+        });
     }
     Ok(inputs)
 }

@@ -52,7 +52,9 @@ pub enum Ladder {
 }
 
 /// Parameters of lines, coarse to fine. Text, so that tables show what was typed.
-const TARGET_ERRORS: [&str; 8] = ["0.1", "0.03", "0.01", "0.003", "0.001", "0.0003", "0.0001", "0.00003"];
+const TARGET_ERRORS: [&str; 8] = [
+    "0.1", "0.03", "0.01", "0.003", "0.001", "0.0003", "0.0001", "0.00003",
+];
 /// Bounds; each takes many more lines than the error that it bounds.
 const MAX_ERRORS: [&str; 5] = ["0.03", "0.01", "0.003", "0.001", "0.0003"];
 /// Rays a cell of guided. The last takes minutes, and is what the least errors of outdoor scenes take.
@@ -77,8 +79,14 @@ pub struct Rung {
 
 impl Sampler {
     /// Those that are measured when none are named. The others take a bound, or minutes a point.
-    pub const DEFAULT: [Self; 6] =
-        [Self::Lines, Self::Guided, Self::CubesUniform, Self::CubesErr, Self::CubesErr1, Self::CubesErr2];
+    pub const DEFAULT: [Self; 6] = [
+        Self::Lines,
+        Self::Guided,
+        Self::CubesUniform,
+        Self::CubesErr,
+        Self::CubesErr1,
+        Self::CubesErr2,
+    ];
 
     /// As the command line names it.
     pub fn name(self) -> &'static str {
@@ -108,22 +116,55 @@ impl Sampler {
     pub fn rungs(self, ladder: Ladder) -> Vec<Rung> {
         let cubes = ["--sampler", "cubes", "--resolution", "128"];
         let (fixed, more, flag, values): (&[&str], &[&str], &str, &[&str]) = match self {
-            Self::Lines => (&["--sampler", "lines"], &[], "--target-error", &TARGET_ERRORS),
+            Self::Lines => (
+                &["--sampler", "lines"],
+                &[],
+                "--target-error",
+                &TARGET_ERRORS,
+            ),
             Self::Guided => (&["--sampler", "guided"], &[], "--rays", &RAYS),
-            Self::CubesUniform => (&cubes, &["--error-measure", "uniform"], "--min-distance", &DISTANCES),
-            Self::CubesErr => (&cubes, &["--error-measure", "sets"], "--min-distance", &DISTANCES),
-            Self::CubesErr1 => (&cubes, &["--error-measure", "pixels"], "--min-distance", &DISTANCES),
-            Self::CubesErr2 => (&cubes, &["--error-measure", "strata"], "--min-distance", &DISTANCES),
+            Self::CubesUniform => (
+                &cubes,
+                &["--error-measure", "uniform"],
+                "--min-distance",
+                &DISTANCES,
+            ),
+            Self::CubesErr => (
+                &cubes,
+                &["--error-measure", "sets"],
+                "--min-distance",
+                &DISTANCES,
+            ),
+            Self::CubesErr1 => (
+                &cubes,
+                &["--error-measure", "pixels"],
+                "--min-distance",
+                &DISTANCES,
+            ),
+            Self::CubesErr2 => (
+                &cubes,
+                &["--error-measure", "strata"],
+                "--min-distance",
+                &DISTANCES,
+            ),
             Self::MaxError => (&["--sampler", "lines"], &[], "--max-error", &MAX_ERRORS),
             Self::Verified => (&["--method", "verified"], &[], "--time-budget", &BUDGETS),
             Self::Exact => return blocks(ladder),
         };
         let rung = |value: &&str| Rung {
             parameter: format!("{flag} {value}"),
-            flags: fixed.iter().chain(more).chain(&[flag, *value]).map(|&f| f.to_owned()).collect(),
+            flags: fixed
+                .iter()
+                .chain(more)
+                .chain(&[flag, *value])
+                .map(|&f| f.to_owned())
+                .collect(),
             block: None,
         };
-        values[..self.taken(ladder, values.len())].iter().map(rung).collect()
+        values[..self.taken(ladder, values.len())]
+            .iter()
+            .map(rung)
+            .collect()
     }
 
     /// How many of its points a ladder has.
@@ -142,7 +183,10 @@ fn blocks(ladder: Ladder) -> Vec<Rung> {
         flags: ["--method", "exact"].map(str::to_owned).to_vec(),
         block: Some(cells),
     };
-    BLOCKS[..Sampler::Exact.taken(ladder, BLOCKS.len())].iter().map(rung).collect()
+    BLOCKS[..Sampler::Exact.taken(ladder, BLOCKS.len())]
+        .iter()
+        .map(rung)
+        .collect()
 }
 
 #[cfg(test)]
@@ -162,7 +206,10 @@ mod tests {
     #[test]
     fn names_are_those_of_the_command_line_and_of_json() {
         for &sampler in Sampler::value_variants() {
-            assert_eq!(sampler.to_possible_value().unwrap().get_name(), sampler.name());
+            assert_eq!(
+                sampler.to_possible_value().unwrap().get_name(),
+                sampler.name()
+            );
             assert_eq!(serde_json::to_value(sampler).unwrap(), sampler.name());
         }
     }
@@ -170,8 +217,9 @@ mod tests {
     #[test]
     fn the_default_is_all_samplers_without_a_bound() {
         let without = Sampler::value_variants().iter().copied();
-        let without: Vec<_> =
-            without.filter(|s| s.shows() == Shows::Error && *s != Sampler::MaxError).collect();
+        let without: Vec<_> = without
+            .filter(|s| s.shows() == Shows::Error && *s != Sampler::MaxError)
+            .collect();
         assert_eq!(without, Sampler::DEFAULT);
     }
 }

@@ -69,7 +69,10 @@ pub struct Report {
 pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     args.check()?;
     std::fs::create_dir_all(&args.out).map_err(|e| BenchError::writing(&args.out, &e))?;
-    writable(&args.out.join("curves.csv"), "--out a folder where you may write")?;
+    writable(
+        &args.out.join("curves.csv"),
+        "--out a folder where you may write",
+    )?;
     if let Some(page) = &args.results {
         writable(page, "--results a file in a folder where you may write")?;
     }
@@ -93,7 +96,11 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
         write(host, &args.out.join("growth.csv"), &csv::growth(&grown)?)?;
     }
     if let Some(page) = &args.results {
-        write(host, page, &results::markdown(args, &machine, load(&scenes, &grown), &scenes, &grown, page))?;
+        write(
+            host,
+            page,
+            &results::markdown(args, &machine, load(&scenes, &grown), &scenes, &grown, page),
+        )?;
     }
     let mut tables = Vec::new();
     if table::has_errors(&scenes) {
@@ -101,17 +108,28 @@ pub fn run(args: &Options, host: &Host<'_>) -> Result<Report, BenchError> {
     }
     for scene in &scenes {
         if !scene.showing(Shows::Undecided).is_empty() {
-            tables.push(format!("{}\n\n{}", scene.scene, points::undecided(scene).markdown()));
+            tables.push(format!(
+                "{}\n\n{}",
+                scene.scene,
+                points::undecided(scene).markdown()
+            ));
         }
         if !scene.showing(Shows::CellTime).is_empty() {
-            tables.push(format!("{}\n\n{}", scene.scene, points::cell_times(scene).markdown()));
+            tables.push(format!(
+                "{}\n\n{}",
+                scene.scene,
+                points::cell_times(scene).markdown()
+            ));
         }
     }
     if !grown.is_empty() {
         tables.push(table::growth(&grown).markdown());
     }
     let tables = tables.join("\n").trim_end().to_owned();
-    Ok(Report { document: document(args, &machine, &scenes, &grown)?, tables })
+    Ok(Report {
+        document: document(args, &machine, &scenes, &grown)?,
+        tables,
+    })
 }
 
 /// How long the machine is watched before the first bake.
@@ -119,7 +137,9 @@ const WATCHED: Duration = Duration::from_millis(500);
 
 /// Says so before bakes are spent on a machine that has other work.
 fn warn_if_busy(host: &Host<'_>) {
-    let Some(load) = Load::watch(WATCHED).filter(|load| load.is_busy()) else { return };
+    let Some(load) = Load::watch(WATCHED).filter(|load| load.is_busy()) else {
+        return;
+    };
     (host.say)(&format!(
         "warning: the machine is busy: other processes take {} of all cores (/proc/stat, half a second), so \
          times will be too long; stop them, or rely on CPU seconds and --repeat",
@@ -139,8 +159,12 @@ fn load(scenes: &[SceneCurves], grown: &[Grown]) -> Load {
 
 /// Checks that a file can be written, before bakes are spent on it.
 fn writable(path: &Path, remedy: &str) -> Result<(), BenchError> {
-    sightline_files::check(path)
-        .map_err(|e| BenchError::Usage(format!("{} cannot be written: {e}; give {remedy}", path.display())))
+    sightline_files::check(path).map_err(|e| {
+        BenchError::Usage(format!(
+            "{} cannot be written: {e}; give {remedy}",
+            path.display()
+        ))
+    })
 }
 
 fn write(host: &Host<'_>, path: &Path, text: &str) -> Result<(), BenchError> {
@@ -160,18 +184,21 @@ fn document(
     for scene in scenes {
         let mut value = serde_json::to_value(scene).map_err(BenchError::internal)?;
         let needed = ERRORS.iter().map(|&error| {
-            let seconds =
-                scene.showing(Shows::Error).into_iter().map(|s| (s.name(), json!(scene.needed(s, error))));
-            let seconds: serde_json::Map<_, _> =
-                seconds.map(|(name, needed)| (name.to_owned(), needed)).collect();
+            let seconds = scene
+                .showing(Shows::Error)
+                .into_iter()
+                .map(|s| (s.name(), json!(scene.needed(s, error))));
+            let seconds: serde_json::Map<_, _> = seconds
+                .map(|(name, needed)| (name.to_owned(), needed))
+                .collect();
             json!({"mean_error": error, "needed": seconds, "guided_over_lines": scene.ratio(error)})
         });
         value["errors"] = needed.collect();
         list.push(value);
     }
-    let means = table::mean_ratios(scenes)
-        .into_iter()
-        .map(|(error, mean, of)| json!({"mean_error": error, "guided_over_lines": mean, "scenes": of}));
+    let means = table::mean_ratios(scenes).into_iter().map(
+        |(error, mean, of)| json!({"mean_error": error, "guided_over_lines": mean, "scenes": of}),
+    );
     Ok(json!({
         "machine": machine,
         "command_line": command_line(),

@@ -42,7 +42,10 @@ impl Ticks {
 
     fn read(machine: &str, own: &str) -> Option<Self> {
         let line = machine.lines().find_map(|l| l.strip_prefix("cpu "))?;
-        let ticks: Vec<u64> = line.split_whitespace().map_while(|n| n.parse().ok()).collect();
+        let ticks: Vec<u64> = line
+            .split_whitespace()
+            .map_while(|n| n.parse().ok())
+            .collect();
         // The time of guests, after these, is part of the user's.
         let [user, nice, system, idle, waiting, interrupts, soft, stolen] = *ticks.first_chunk()?;
         let busy = user + nice + system + interrupts + soft + stolen;
@@ -50,15 +53,26 @@ impl Ticks {
         let (_, fields) = own.rsplit_once(')')?;
         let fields: Vec<&str> = fields.split_whitespace().collect();
         // utime, stime, cutime and cstime, fields 14 to 17 of proc(5); the state, field 3, comes first here.
-        let own = fields.get(11..15)?.iter().map(|n| n.parse::<u64>().ok()).sum::<Option<u64>>()?;
-        Some(Self { all: busy + idle + waiting, busy, own })
+        let own = fields
+            .get(11..15)?
+            .iter()
+            .map(|n| n.parse::<u64>().ok())
+            .sum::<Option<u64>>()?;
+        Some(Self {
+            all: busy + idle + waiting,
+            busy,
+            own,
+        })
     }
 
     /// From `earlier` until this moment.
     pub fn since(self, earlier: Self) -> Load {
         let busy = self.busy.saturating_sub(earlier.busy);
         let own = self.own.saturating_sub(earlier.own);
-        Load { all: self.all.saturating_sub(earlier.all), others: busy.saturating_sub(own) }
+        Load {
+            all: self.all.saturating_sub(earlier.all),
+            others: busy.saturating_sub(own),
+        }
     }
 }
 
@@ -92,7 +106,8 @@ impl AddAssign for Load {
 mod tests {
     use super::*;
 
-    const OWN: &str = "77 (a) b) S 1 77 77 0 -1 4194304 90 0 0 0 20 5 300 75 20 0 3 0 99 1000 20 184 0 0";
+    const OWN: &str =
+        "77 (a) b) S 1 77 77 0 -1 4194304 90 0 0 0 20 5 300 75 20 0 3 0 99 1000 20 184 0 0";
 
     fn ticks(machine: &str) -> Ticks {
         Ticks::read(machine, OWN).unwrap()
@@ -101,18 +116,45 @@ mod tests {
     #[test]
     fn guests_are_not_counted_twice_and_names_may_have_parentheses() {
         let read = ticks("cpu  1000 10 200 5000 40 3 7 30 500 0\ncpu0 1 1 1 1 1 1 1 1 0 0\n");
-        assert_eq!(read, Ticks { all: 6290, busy: 1250, own: 400 });
+        assert_eq!(
+            read,
+            Ticks {
+                all: 6290,
+                busy: 1250,
+                own: 400
+            }
+        );
     }
 
     #[test]
     fn what_is_busy_and_not_ours_is_taken_by_others() {
-        let before = Ticks { all: 1000, busy: 500, own: 100 };
-        let load = Ticks { all: 1200, busy: 650, own: 150 }.since(before);
-        assert_eq!(load, Load { all: 200, others: 100 });
+        let before = Ticks {
+            all: 1000,
+            busy: 500,
+            own: 100,
+        };
+        let load = Ticks {
+            all: 1200,
+            busy: 650,
+            own: 150,
+        }
+        .since(before);
+        assert_eq!(
+            load,
+            Load {
+                all: 200,
+                others: 100
+            }
+        );
         assert_eq!(load.share(), Some(0.5));
         assert!(load.is_busy());
         // Ours alone; rounding may count more of it than of the machine.
-        let load = Ticks { all: 1200, busy: 648, own: 250 }.since(before);
+        let load = Ticks {
+            all: 1200,
+            busy: 648,
+            own: 250,
+        }
+        .since(before);
         assert_eq!((load.share(), load.is_busy()), (Some(0.0), false));
     }
 
@@ -129,7 +171,10 @@ mod tests {
     fn what_is_cut_short_tells_nothing() {
         assert_eq!(Ticks::read("cpu  1 2 3\n", OWN), None);
         assert_eq!(Ticks::read("", OWN), None);
-        assert_eq!(Ticks::read("cpu  1 2 3 4 5 6 7 8 0 0\n", "77 (a) S 1 2"), None);
+        assert_eq!(
+            Ticks::read("cpu  1 2 3 4 5 6 7 8 0 0\n", "77 (a) S 1 2"),
+            None
+        );
     }
 
     #[test]

@@ -31,10 +31,16 @@ impl Machine {
         let unknown = || "unknown".to_owned();
         let memory = value(&read("/proc/meminfo"), "MemTotal", ':')
             .and_then(|v| v.split_whitespace().next()?.parse::<f64>().ok())
-            .map_or_else(unknown, |kib| format!("{:.1} GiB", kib / f64::from(1 << 20)));
+            .map_or_else(unknown, |kib| {
+                format!("{:.1} GiB", kib / f64::from(1 << 20))
+            });
         let system = value(&read("/etc/os-release"), "PRETTY_NAME", '=');
         let kernel = read("/proc/sys/kernel/osrelease");
-        let os = format!("{}, {}", system.unwrap_or_else(|| std::env::consts::OS.to_owned()), kernel.trim());
+        let os = format!(
+            "{}, {}",
+            system.unwrap_or_else(|| std::env::consts::OS.to_owned()),
+            kernel.trim()
+        );
         Self {
             cpu: value(&read("/proc/cpuinfo"), "model name", ':').unwrap_or_else(unknown),
             cores: std::thread::available_parallelism().map_or(1, usize::from),
@@ -42,7 +48,11 @@ impl Machine {
             os: os.trim_end_matches([',', ' ']).to_owned(),
             numerics_profile: CpuBackend::probe().unwrap_or_else(|_| unknown()),
             version: env!("CARGO_PKG_VERSION"),
-            date: date(SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())),
+            date: date(
+                SystemTime::now()
+                    .duration_since(UNIX_EPOCH)
+                    .map_or(0, |d| d.as_secs()),
+            ),
         }
     }
 }
@@ -50,7 +60,9 @@ impl Machine {
 /// The first `key`'s value in lines of keys and values.
 fn value(text: &str, key: &str, separator: char) -> Option<String> {
     let mut lines = text.lines().filter_map(|l| l.split_once(separator));
-    lines.find(|(k, _)| k.trim() == key).map(|(_, v)| v.trim().trim_matches('"').to_owned())
+    lines
+        .find(|(k, _)| k.trim() == key)
+        .map(|(_, v)| v.trim().trim_matches('"').to_owned())
 }
 
 /// The day of a Unix time, in UTC; counted from 1 March of the year 0, so that leap days come last in their
@@ -63,7 +75,11 @@ fn date(seconds: u64) -> String {
     let day = day - (365 * year + year / 4 - year / 100);
     let month = (5 * day + 2) / 153;
     let of_month = day - (153 * month + 2) / 5 + 1;
-    let (month, next) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let (month, next) = if month < 10 {
+        (month + 3, 0)
+    } else {
+        (month - 9, 1)
+    };
     format!("{:04}-{month:02}-{of_month:02}", 400 * era + year + next)
 }
 
@@ -98,8 +114,14 @@ mod tests {
 
     #[test]
     fn values_and_words() {
-        assert_eq!(value("a\t: 1\nb : x y\nb : z\n", "b", ':').as_deref(), Some("x y"));
-        assert_eq!(value("PRETTY_NAME=\"An OS\"\n", "PRETTY_NAME", '=').as_deref(), Some("An OS"));
+        assert_eq!(
+            value("a\t: 1\nb : x y\nb : z\n", "b", ':').as_deref(),
+            Some("x y")
+        );
+        assert_eq!(
+            value("PRETTY_NAME=\"An OS\"\n", "PRETTY_NAME", '=').as_deref(),
+            Some("An OS")
+        );
         assert_eq!(quoted("a-b/c.glb"), "a-b/c.glb");
         assert_eq!(quoted("it's"), "'it'\\''s'");
         assert_eq!(quoted(""), "''");

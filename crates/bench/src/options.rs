@@ -103,12 +103,16 @@ impl Options {
     /// [`BenchError::Usage`].
     pub fn check(&self) -> Result<(), BenchError> {
         let refuse = |what: &str| Err(BenchError::Usage(what.to_owned()));
-        let needs_scene = !self.samplers().is_empty() || self.grow.iter().any(|g| *g != Growth::Triangles);
+        let needs_scene =
+            !self.samplers().is_empty() || self.grow.iter().any(|g| *g != Growth::Triangles);
         if needs_scene && self.scenes.is_empty() {
             return refuse("name a scene to measure; only --grow triangles needs none");
         }
         if !(8..=4096).contains(&self.resolution) {
-            return refuse(&format!("--resolution {} is not between 8 and 4096", self.resolution));
+            return refuse(&format!(
+                "--resolution {} is not between 8 and 4096",
+                self.resolution
+            ));
         }
         if self.viewpoints == 0 {
             return refuse("--viewpoints 0 measures nothing; give at least 1");
@@ -117,13 +121,22 @@ impl Options {
             return refuse("--repeat 0 measures nothing; give at least 1");
         }
         if self.max_seconds.is_nan() || self.max_seconds <= 0.0 {
-            return refuse(&format!("--max-seconds {} is not above 0", self.max_seconds));
+            return refuse(&format!(
+                "--max-seconds {} is not above 0",
+                self.max_seconds
+            ));
         }
         if !(0.0..=1.0).contains(&self.least_error) {
-            return refuse(&format!("--least-error {} is not between 0 and 1", self.least_error));
+            return refuse(&format!(
+                "--least-error {} is not between 0 and 1",
+                self.least_error
+            ));
         }
         if !(1e-6..=1.0).contains(&self.grow_error) {
-            return refuse(&format!("--grow-error {} is not between 0.000001 and 1", self.grow_error));
+            return refuse(&format!(
+                "--grow-error {} is not between 0.000001 and 1",
+                self.grow_error
+            ));
         }
         Ok(())
     }
@@ -147,14 +160,18 @@ impl Options {
         let (low, size) = (whole.min.as_dvec3(), (whole.max - whole.min).as_dvec3());
         let cells = self.cells.map(|n| n.clamp(1, most.max(1)));
         let at = |cells: [u32; 3]| {
-            let part =
-                DVec3::from_array([0, 1, 2].map(|k| f64::from(cells[k]) / f64::from(self.cells[k].max(1))));
+            let part = DVec3::from_array(
+                [0, 1, 2].map(|k| f64::from(cells[k]) / f64::from(self.cells[k].max(1))),
+            );
             (low + part * size).as_vec3()
         };
         let first = [0, 1, 2].map(|k| (self.cells[k].max(1) - cells[k]) / 2);
         let last = [0, 1, 2].map(|k| first[k] + cells[k]);
         let mut flags = Self::grid(cells).to_vec();
-        flags.push(view_box(Aabb { min: at(first), max: at(last) }));
+        flags.push(view_box(Aabb {
+            min: at(first),
+            max: at(last),
+        }));
         flags
     }
 }
@@ -162,7 +179,11 @@ impl Options {
 /// A box as `bake` takes it.
 fn view_box(Aabb { min, max }: Aabb) -> String {
     // Rust prints the shortest number that reads as the same one.
-    let numbers = min.to_array().into_iter().chain(max.to_array()).map(|n| n.to_string());
+    let numbers = min
+        .to_array()
+        .into_iter()
+        .chain(max.to_array())
+        .map(|n| n.to_string());
     format!("--view-box={}", numbers.collect::<Vec<_>>().join(","))
 }
 
@@ -174,19 +195,50 @@ mod tests {
 
     #[test]
     fn a_block_is_in_the_middle_and_no_larger_than_the_grid() {
-        let options = Options { cells: [8, 3, 1], ..Options::default() };
-        let bounds = Aabb { min: Vec3::new(-8.0, 0.0, 1.0), max: Vec3::new(8.0, 6.0, 2.0) };
-        assert_eq!(options.block(2, bounds), ["--cells", "2x2x1", "--view-box=-2,0,1,2,4,2"]);
-        assert_eq!(options.block(99, bounds), ["--cells", "8x3x1", "--view-box=-8,0,1,8,6,2"]);
+        let options = Options {
+            cells: [8, 3, 1],
+            ..Options::default()
+        };
+        let bounds = Aabb {
+            min: Vec3::new(-8.0, 0.0, 1.0),
+            max: Vec3::new(8.0, 6.0, 2.0),
+        };
+        assert_eq!(
+            options.block(2, bounds),
+            ["--cells", "2x2x1", "--view-box=-2,0,1,2,4,2"]
+        );
+        assert_eq!(
+            options.block(99, bounds),
+            ["--cells", "8x3x1", "--view-box=-8,0,1,8,6,2"]
+        );
         // The view box takes the place of the bounds.
-        let options = Options { view_box: Some(Aabb { min: Vec3::ZERO, max: Vec3::ONE }), ..options };
-        assert_eq!(options.block(1, bounds)[2], "--view-box=0.375,0.33333334,0,0.5,0.6666667,1");
+        let options = Options {
+            view_box: Some(Aabb {
+                min: Vec3::ZERO,
+                max: Vec3::ONE,
+            }),
+            ..options
+        };
+        assert_eq!(
+            options.block(1, bounds)[2],
+            "--view-box=0.375,0.33333334,0,0.5,0.6666667,1"
+        );
     }
 
     #[test]
     fn nothing_is_repeated_no_times() {
-        let options = Options { scenes: vec!["a.glb".into()], ..Options::default() };
+        let options = Options {
+            scenes: vec!["a.glb".into()],
+            ..Options::default()
+        };
         assert!(options.check().is_ok());
-        assert!(matches!(Options { repeat: 0, ..options }.check(), Err(BenchError::Usage(_))));
+        assert!(matches!(
+            Options {
+                repeat: 0,
+                ..options
+            }
+            .check(),
+            Err(BenchError::Usage(_))
+        ));
     }
 }

@@ -14,7 +14,10 @@ pub const PLOT: [f64; 2] = [400.0, 280.0];
 /// The panels of a scene: one for each kind of curve that it has.
 pub fn panels(scene: &SceneCurves) -> Vec<String> {
     let kinds = [Shows::Error, Shows::Undecided, Shows::CellTime].into_iter();
-    kinds.filter(|&kind| !scene.showing(kind).is_empty()).map(|kind| panel(scene, kind)).collect()
+    kinds
+        .filter(|&kind| !scene.showing(kind).is_empty())
+        .map(|kind| panel(scene, kind))
+        .collect()
 }
 
 /// How a kind of curve is drawn: what is along x, what is up y, and the thin curve, if there is one.
@@ -62,8 +65,15 @@ fn kind(scene: &SceneCurves, shows: Shows) -> Kind {
 fn panel(scene: &SceneCurves, shows: Shows) -> String {
     let [width, height] = PLOT;
     let kind = kind(scene, shows);
-    let points: Vec<&Point> = scene.points.iter().filter(|p| p.sampler.shows() == shows).collect();
-    let thin = kind.thin.into_iter().flat_map(|thin| points.iter().map(move |p| thin(p)));
+    let points: Vec<&Point> = scene
+        .points
+        .iter()
+        .filter(|p| p.sampler.shows() == shows)
+        .collect();
+    let thin = kind
+        .thin
+        .into_iter()
+        .flat_map(|thin| points.iter().map(move |p| thin(p)));
     let up: Vec<f64> = points.iter().map(|p| (kind.y)(p)).chain(thin).collect();
     let x = Axis::over(points.iter().map(|p| (kind.x)(p)), 0.0, width);
     let y = Axis::over(up.into_iter(), height, 0.0);
@@ -83,14 +93,28 @@ fn panel(scene: &SceneCurves, shows: Shows) -> String {
 /// A sampler's points, joined.
 fn curve(scene: &SceneCurves, sampler: Sampler, kind: &Kind, x: &Axis, y: &Axis) -> String {
     let along = |value: fn(&Point) -> f64| -> Vec<_> {
-        scene.of(sampler).map(|p| (x.at((kind.x)(p)), y.at(value(p)))).collect()
+        scene
+            .of(sampler)
+            .map(|p| (x.at((kind.x)(p)), y.at(value(p))))
+            .collect()
     };
-    let thin = kind.thin.map_or(String::new(), |value| polyline(&along(value), true));
+    let thin = kind
+        .thin
+        .map_or(String::new(), |value| polyline(&along(value), true));
     let points = along(kind.y);
-    let mut svg = format!("<g class=\"{}\">{thin}{}", sampler.name(), polyline(&points, false));
+    let mut svg = format!(
+        "<g class=\"{}\">{thin}{}",
+        sampler.name(),
+        polyline(&points, false)
+    );
     for (&(px, py), point) in points.iter().zip(scene.of(sampler)) {
         // Hollow: nothing wrong at all, or nothing undecided, which has no place on this axis but the edge.
-        svg += &mark(sampler, px, py, if (kind.y)(point) > 0.0 { 1.0 } else { 0.0 });
+        svg += &mark(
+            sampler,
+            px,
+            py,
+            if (kind.y)(point) > 0.0 { 1.0 } else { 0.0 },
+        );
     }
     svg + "</g>\n"
 }

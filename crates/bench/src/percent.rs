@@ -16,9 +16,13 @@ mod tests {
 
     #[test]
     fn percents_have_three_digits() {
-        for (fraction, text) in
-            [(0.0, "0 %"), (0.5, "50.0 %"), (0.0123, "1.23 %"), (0.000_012_34, "0.00123 %"), (1.0, "100 %")]
-        {
+        for (fraction, text) in [
+            (0.0, "0 %"),
+            (0.5, "50.0 %"),
+            (0.0123, "1.23 %"),
+            (0.000_012_34, "0.00123 %"),
+            (1.0, "100 %"),
+        ] {
             assert_eq!(percent(fraction), text);
         }
     }

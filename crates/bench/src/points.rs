@@ -8,15 +8,29 @@ use crate::table::{Table, cpu, megabytes, spread};
 
 /// The points of a scene whose curves show this.
 fn showing(scene: &SceneCurves, shows: Shows) -> impl Iterator<Item = &Point> {
-    scene.points.iter().filter(move |p| p.sampler.shows() == shows)
+    scene
+        .points
+        .iter()
+        .filter(move |p| p.sampler.shows() == shows)
 }
 
 /// Time against error.
 pub fn errors(scene: &SceneCurves) -> Table {
     let bounded = showing(scene, Shows::Error).any(|p| p.greatest_bound.is_some());
-    let mut table = Table::new(["sampler", "parameter", "s", "spread", "CPU s", "mean", "p99", "max"]);
+    let mut table = Table::new([
+        "sampler",
+        "parameter",
+        "s",
+        "spread",
+        "CPU s",
+        "mean",
+        "p99",
+        "max",
+    ]);
     table.header.extend(bounded.then(|| "bound".to_owned()));
-    table.header.extend(["MB", "B/cell", "samples", "visible"].map(str::to_owned));
+    table
+        .header
+        .extend(["MB", "B/cell", "samples", "visible"].map(str::to_owned));
     for p in showing(scene, Shows::Error) {
         let mut row = vec![
             p.sampler.name().to_owned(),
@@ -42,7 +56,15 @@ pub fn errors(scene: &SceneCurves) -> Table {
 
 /// Undecided triangles over time.
 pub fn undecided(scene: &SceneCurves) -> Table {
-    let mut table = Table::new(["parameter", "s", "spread", "CPU s", "undecided", "to draw", "MB"]);
+    let mut table = Table::new([
+        "parameter",
+        "s",
+        "spread",
+        "CPU s",
+        "undecided",
+        "to draw",
+        "MB",
+    ]);
     table.rows.extend(showing(scene, Shows::Undecided).map(|p| {
         vec![
             p.parameter.clone(),
@@ -59,8 +81,17 @@ pub fn undecided(scene: &SceneCurves) -> Table {
 
 /// The time of an exact cell.
 pub fn cell_times(scene: &SceneCurves) -> Table {
-    let mut table =
-        Table::new(["cells", "s", "spread", "CPU s", "s/cell", "CPU s/cell", "undecided", "visible", "MB"]);
+    let mut table = Table::new([
+        "cells",
+        "s",
+        "spread",
+        "CPU s",
+        "s/cell",
+        "CPU s/cell",
+        "undecided",
+        "visible",
+        "MB",
+    ]);
     table.rows.extend(showing(scene, Shows::CellTime).map(|p| {
         vec![
             format!("{:.0}", p.cells),
@@ -87,7 +118,10 @@ mod tests {
     fn every_point_is_in_one_table() {
         let scene = example("a");
         let tables = [errors(&scene), undecided(&scene), cell_times(&scene)];
-        assert_eq!(tables.iter().map(|t| t.rows.len()).sum::<usize>(), scene.points.len());
+        assert_eq!(
+            tables.iter().map(|t| t.rows.len()).sum::<usize>(),
+            scene.points.len()
+        );
         for table in tables {
             assert!(table.rows.iter().all(|row| row.len() == table.header.len()));
         }
@@ -106,8 +140,14 @@ mod tests {
         let scene = example("a");
         // Runs of 1, 1.25 and 1.5 times 0.4 s, for one cell and, three times as long, for eight.
         let rows = cell_times(&scene).rows;
-        assert_eq!(rows[0][..6], ["1", "0.50", "40.0 %", "0.80", "0.50", "0.80"]);
-        assert_eq!(rows[1][..6], ["8", "1.50", "40.0 %", "2.40", "0.19", "0.30"]);
+        assert_eq!(
+            rows[0][..6],
+            ["1", "0.50", "40.0 %", "0.80", "0.50", "0.80"]
+        );
+        assert_eq!(
+            rows[1][..6],
+            ["8", "1.50", "40.0 %", "2.40", "0.19", "0.30"]
+        );
         assert_eq!(undecided(&scene).rows[0][4], "10.0 %");
     }
 }

@@ -65,5 +65,9 @@ pub fn bake(
             percent(times.others_share.unwrap_or(0.0))
         ));
     }
-    Ok(Runs { documents, times, folder })
+    Ok(Runs {
+        documents,
+        times,
+        folder,
+    })
 }

@@ -25,7 +25,15 @@ pub fn markdown(
     growth: &[Grown],
     page: &Path,
 ) -> String {
-    let Machine { cpu, cores, memory, os, numerics_profile, version, date } = machine;
+    let Machine {
+        cpu,
+        cores,
+        memory,
+        os,
+        numerics_profile,
+        version,
+        date,
+    } = machine;
     let mut text = format!(
         "# Results\n\nWritten by `sightline bench`; the next run with the same `--results` replaces it.\n\n\
          - processor: {cpu}, {cores} cores\n- memory: {memory}\n- system: {os}\n\
@@ -83,9 +91,16 @@ pub fn markdown(
 
 /// What others took of the machine while bakes were timed.
 fn others(load: Load) -> String {
-    let warning = if load.is_busy() { "; **the machine was busy**, so times are too long" } else { "" };
+    let warning = if load.is_busy() {
+        "; **the machine was busy**, so times are too long"
+    } else {
+        ""
+    };
     load.share().map_or("not known here".to_owned(), |share| {
-        format!("other processes took {} of the time of all cores (`/proc/stat`){warning}", percent(share))
+        format!(
+            "other processes took {} of the time of all cores (`/proc/stat`){warning}",
+            percent(share)
+        )
     })
 }
 
@@ -128,22 +143,43 @@ mod tests {
     use crate::ladder::Sampler;
 
     fn page(repeat: u32, load: Load, scenes: &[SceneCurves]) -> String {
-        let args = Options { repeat, out: "a/b".into(), ..Options::default() };
-        markdown(&args, &Machine::here(), load, scenes, &[], Path::new("a/RESULTS.md"))
+        let args = Options {
+            repeat,
+            out: "a/b".into(),
+            ..Options::default()
+        };
+        markdown(
+            &args,
+            &Machine::here(),
+            load,
+            scenes,
+            &[],
+            Path::new("a/RESULTS.md"),
+        )
     }
 
     #[test]
     fn the_page_has_a_table_for_each_kind_of_curve_and_says_how_often_it_was_run() {
         let text = page(3, Load::default(), &[example("level")]);
-        for part in ["## Time against error", "--method verified`, 8×8×8", "--method exact`", "run 3 times"]
-        {
+        for part in [
+            "## Time against error",
+            "--method verified`, 8×8×8",
+            "--method exact`",
+            "run 3 times",
+        ] {
             assert!(text.contains(part), "{part} is not in {text}");
         }
-        assert!(text.contains("(b/curves.svg)") && text.contains("other work: not known here"), "{text}");
+        assert!(
+            text.contains("(b/curves.svg)") && text.contains("other work: not known here"),
+            "{text}"
+        );
         let mut scene = example("level");
         scene.samplers = vec![Sampler::Exact];
         scene.points.retain(|p| p.sampler == Sampler::Exact);
         let text = page(1, Load::default(), &[scene]);
-        assert!(!text.contains("Time against error") && text.contains("run once"), "{text}");
+        assert!(
+            !text.contains("Time against error") && text.contains("run once"),
+            "{text}"
+        );
     }
 }

@@ -13,9 +13,19 @@ pub fn label(x: f64, y: f64, anchor: &str, text: &str) -> String {
 
 /// A curve, thin and dashed or not.
 pub fn polyline(points: &[(f64, f64)], thin: bool) -> String {
-    let points: Vec<_> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
-    let looks = if thin { "stroke-width=\"1\" stroke-dasharray=\"4 3\"" } else { "stroke-width=\"2\"" };
-    format!("<polyline points=\"{}\" fill=\"none\" stroke=\"currentColor\" {looks}/>", points.join(" "))
+    let points: Vec<_> = points
+        .iter()
+        .map(|(x, y)| format!("{x:.1},{y:.1}"))
+        .collect();
+    let looks = if thin {
+        "stroke-width=\"1\" stroke-dasharray=\"4 3\""
+    } else {
+        "stroke-width=\"2\""
+    };
+    format!(
+        "<polyline points=\"{}\" fill=\"none\" stroke=\"currentColor\" {looks}/>",
+        points.join(" ")
+    )
 }
 
 /// A sampler's mark: its shape tells what its colour does, to those who see no colours. `filled` is its
@@ -23,7 +33,10 @@ pub fn polyline(points: &[(f64, f64)], thin: bool) -> String {
 pub fn mark(sampler: Sampler, x: f64, y: f64, filled: f64) -> String {
     let shape = match sampler {
         Sampler::Lines => {
-            return format!("<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.6\" {}/>", looks(filled));
+            return format!(
+                "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3.6\" {}/>",
+                looks(filled)
+            );
         }
         Sampler::Guided => "M-3.4,-3.4h6.8v6.8h-6.8z",
         Sampler::CubesUniform => "M-4,0h8M0,-4v8",
@@ -34,7 +47,10 @@ pub fn mark(sampler: Sampler, x: f64, y: f64, filled: f64) -> String {
         Sampler::Verified => "M-1.5,-4.4h3v8.8h-3z",
         Sampler::Exact => "M0,-4.4l4.2,3l-1.6,5h-5.2l-1.6,-5z",
     };
-    format!("<path transform=\"translate({x:.1} {y:.1})\" d=\"{shape}\" {}/>", looks(filled))
+    format!(
+        "<path transform=\"translate({x:.1} {y:.1})\" d=\"{shape}\" {}/>",
+        looks(filled)
+    )
 }
 
 fn looks(filled: f64) -> String {

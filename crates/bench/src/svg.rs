@@ -46,7 +46,10 @@ pub fn draw(scenes: &[SceneCurves]) -> String {
         style()
     );
     for (i, panel) in panels.iter().enumerate() {
-        let (x, y) = ((i % columns) as f64 * PANEL[0] + LEFT, top + (i / columns) as f64 * PANEL[1] + ABOVE);
+        let (x, y) = (
+            (i % columns) as f64 * PANEL[0] + LEFT,
+            top + (i / columns) as f64 * PANEL[1] + ABOVE,
+        );
         svg += &format!("<g transform=\"translate({x} {y})\">\n{panel}</g>\n");
     }
     svg += "</svg>\n";
@@ -55,16 +58,24 @@ pub fn draw(scenes: &[SceneCurves]) -> String {
 
 fn style() -> String {
     let rules = |dark: bool| {
-        COLOURS.map(|(class, l, d)| format!(".{class}{{color:{}}}\n", if dark { d } else { l })).concat()
+        COLOURS
+            .map(|(class, l, d)| format!(".{class}{{color:{}}}\n", if dark { d } else { l }))
+            .concat()
     };
-    format!("{}@media (prefers-color-scheme: dark){{\n{}}}\n", rules(false), rules(true))
+    format!(
+        "{}@media (prefers-color-scheme: dark){{\n{}}}\n",
+        rules(false),
+        rules(true)
+    )
 }
 
 /// The samplers' marks and names, then what the two kinds of lines are; and how high that is.
 fn legend(scenes: &[SceneCurves], width: f64) -> (String, f64) {
     let samplers = scenes.first().map_or(&[][..], |s| &s.samplers);
-    let mut entries: Vec<_> =
-        samplers.iter().map(|&s| (s.name(), s.name(), false, mark(s, 12.0, 0.0, 1.0))).collect();
+    let mut entries: Vec<_> = samplers
+        .iter()
+        .map(|&s| (s.name(), s.name(), false, mark(s, 12.0, 0.0, 1.0)))
+        .collect();
     if samplers.iter().any(|s| s.shows() == Shows::Error) {
         entries.push(("ink", "mean error", false, String::new()));
         entries.push(("ink", "p99 error", true, String::new()));
@@ -72,14 +83,20 @@ fn legend(scenes: &[SceneCurves], width: f64) -> (String, f64) {
     let per_row = ((width - 20.0) / ENTRY[0]).floor().max(1.0) as usize;
     let mut text = String::new();
     for (i, (class, name, thin, mark)) in entries.iter().enumerate() {
-        let (x, y) = (12.0 + (i % per_row) as f64 * ENTRY[0], 20.0 + (i / per_row) as f64 * ENTRY[1]);
+        let (x, y) = (
+            12.0 + (i % per_row) as f64 * ENTRY[0],
+            20.0 + (i / per_row) as f64 * ENTRY[1],
+        );
         text += &format!(
             "<g transform=\"translate({x} {y})\"><g class=\"{class}\">{}{mark}</g>{}</g>\n",
             polyline(&[(0.0, 0.0), (24.0, 0.0)], *thin),
             label(29.0, 4.0, "start", name)
         );
     }
-    (text, 14.0 + entries.len().div_ceil(per_row) as f64 * ENTRY[1])
+    (
+        text,
+        14.0 + entries.len().div_ceil(per_row) as f64 * ENTRY[1],
+    )
 }
 
 #[cfg(test)]
@@ -96,7 +113,10 @@ mod tests {
         while let Some(start) = rest.find('<') {
             let between = &rest[..start];
             assert!(!between.contains('>'), "{between}");
-            assert!(between.trim().is_empty() || !open.is_empty(), "text outside: {between}");
+            assert!(
+                between.trim().is_empty() || !open.is_empty(),
+                "text outside: {between}"
+            );
             text += between;
             let end = start + rest[start..].find('>').expect("a tag ends");
             let tag = &rest[start + 1..end];
@@ -122,10 +142,19 @@ mod tests {
                 open.push(name);
             }
         }
-        assert!(open.is_empty() && rest.trim().is_empty() && roots == 1, "{open:?} {rest}");
+        assert!(
+            open.is_empty() && rest.trim().is_empty() && roots == 1,
+            "{open:?} {rest}"
+        );
         for (i, _) in text.match_indices('&') {
             let entity = ["amp", "lt", "gt", "quot", "apos"];
-            assert!(entity.iter().any(|e| text[i + 1..].starts_with(&format!("{e};"))), "{}", &text[i..]);
+            assert!(
+                entity
+                    .iter()
+                    .any(|e| text[i + 1..].starts_with(&format!("{e};"))),
+                "{}",
+                &text[i..]
+            );
         }
         text
     }
@@ -134,7 +163,11 @@ mod tests {
     fn the_picture_is_well_formed() {
         let mut nothing = example("nothing");
         nothing.points.clear();
-        for scenes in [vec![], vec![example("a")], vec![example("a"), example("b"), nothing]] {
+        for scenes in [
+            vec![],
+            vec![example("a")],
+            vec![example("a"), example("b"), nothing],
+        ] {
             let svg = draw(&scenes);
             read(&svg);
             assert!(!svg.contains("script"));
@@ -148,23 +181,37 @@ mod tests {
     fn names_cannot_become_markup() {
         let svg = draw(&[example("</text><a b=\"c\">&\u{1}'")]);
         let text = read(&svg);
-        assert!(text.contains("&lt;/text&gt;&lt;a b=&quot;c&quot;&gt;&amp;\u{fffd}&apos;, 12"), "{text}");
+        assert!(
+            text.contains("&lt;/text&gt;&lt;a b=&quot;c&quot;&gt;&amp;\u{fffd}&apos;, 12"),
+            "{text}"
+        );
     }
 
     #[test]
     fn each_kind_of_curve_has_a_panel_and_a_colour() {
         let svg = draw(&[example("a")]);
         let text = read(&svg);
-        for title in ["a, 12 triangles", "a: undecided after a time budget", "a: time of an exact cell"] {
+        for title in [
+            "a, 12 triangles",
+            "a: undecided after a time budget",
+            "a: time of an exact cell",
+        ] {
             assert!(text.contains(title), "{title}");
         }
         let mut one = example("a");
         one.samplers = vec![Sampler::Exact];
         one.points.retain(|p| p.sampler == Sampler::Exact);
         let text = read(&draw(&[one]));
-        assert!(!text.contains("undecided after") && !text.contains("mean error"), "{text}");
+        assert!(
+            !text.contains("undecided after") && !text.contains("mean error"),
+            "{text}"
+        );
         for sampler in example("a").samplers {
-            assert!(COLOURS.iter().any(|(class, ..)| *class == sampler.name()), "{}", sampler.name());
+            assert!(
+                COLOURS.iter().any(|(class, ..)| *class == sampler.name()),
+                "{}",
+                sampler.name()
+            );
         }
     }
 }

@@ -16,7 +16,10 @@ pub struct Table {
 
 impl Table {
     pub fn new<const N: usize>(header: [&str; N]) -> Self {
-        Self { header: header.map(str::to_owned).to_vec(), rows: Vec::new() }
+        Self {
+            header: header.map(str::to_owned).to_vec(),
+            rows: Vec::new(),
+        }
     }
 
     /// Markdown with columns of even width: the first to the left, the others, numbers mostly, to the right.
@@ -24,15 +27,21 @@ impl Table {
         let all = || std::iter::once(&self.header).chain(&self.rows);
         let escaped = |text: &str| text.replace('|', "\\|");
         let width = |column: usize| {
-            let widths = all().filter_map(|r| r.get(column)).map(|c| escaped(c).chars().count());
+            let widths = all()
+                .filter_map(|r| r.get(column))
+                .map(|c| escaped(c).chars().count());
             widths.max().unwrap_or(0).max(3)
         };
         let widths: Vec<_> = (0..self.header.len()).map(width).collect();
         let line = |row: &Vec<String>| {
-            let cells = row.iter().zip(&widths).enumerate().map(|(i, (cell, &width))| match i {
-                0 => format!(" {:<width$} |", escaped(cell)),
-                _ => format!(" {:>width$} |", escaped(cell)),
-            });
+            let cells = row
+                .iter()
+                .zip(&widths)
+                .enumerate()
+                .map(|(i, (cell, &width))| match i {
+                    0 => format!(" {:<width$} |", escaped(cell)),
+                    _ => format!(" {:>width$} |", escaped(cell)),
+                });
             format!("|{}\n", cells.collect::<String>())
         };
         let rule = widths.iter().enumerate().map(|(i, &width)| match i {
@@ -40,7 +49,10 @@ impl Table {
             _ => format!("-{}:|", "-".repeat(width)),
         });
         let rule = format!("|{}\n", rule.collect::<String>());
-        std::iter::once(line(&self.header)).chain([rule]).chain(self.rows.iter().map(line)).collect()
+        std::iter::once(line(&self.header))
+            .chain([rule])
+            .chain(self.rows.iter().map(line))
+            .collect()
     }
 }
 
@@ -57,13 +69,19 @@ fn times(ratio: Option<Ratio>) -> String {
 /// baseline gets as far in as that, and lines do not.
 pub fn mean_ratios(scenes: &[SceneCurves]) -> Vec<(f64, Option<Ratio>, usize)> {
     let lost = |s: &SceneCurves, error| {
-        matches!(s.needed(Sampler::Guided, error), Needed::Seconds(_) | Needed::AtMost(_))
-            && matches!(s.needed(Sampler::Lines, error), Needed::MoreThan(_))
+        matches!(
+            s.needed(Sampler::Guided, error),
+            Needed::Seconds(_) | Needed::AtMost(_)
+        ) && matches!(s.needed(Sampler::Lines, error), Needed::MoreThan(_))
     };
     let mean = |error| {
         let ratios: Vec<_> = scenes.iter().filter_map(|s| s.ratio(error)).collect();
         let known = !scenes.iter().any(|s| lost(s, error));
-        (error, geometric_mean(&ratios).filter(|_| known), ratios.len())
+        (
+            error,
+            geometric_mean(&ratios).filter(|_| known),
+            ratios.len(),
+        )
     };
     ERRORS.map(mean).to_vec()
 }
@@ -75,10 +93,16 @@ pub fn has_errors(scenes: &[SceneCurves]) -> bool {
 
 /// Seconds each sampler needs for an error.
 pub fn needed(scenes: &[SceneCurves]) -> Table {
-    let samplers = scenes.first().map_or(Vec::new(), |s| s.showing(Shows::Error));
-    let compares = [Sampler::Guided, Sampler::Lines].iter().all(|s| samplers.contains(s));
+    let samplers = scenes
+        .first()
+        .map_or(Vec::new(), |s| s.showing(Shows::Error));
+    let compares = [Sampler::Guided, Sampler::Lines]
+        .iter()
+        .all(|s| samplers.contains(s));
     let mut table = Table::new(["scene", "mean error"]);
-    table.header.extend(samplers.iter().map(|s| format!("{} s", s.name())));
+    table
+        .header
+        .extend(samplers.iter().map(|s| format!("{} s", s.name())));
     if compares {
         table.header.push("guided / lines".to_owned());
     }
@@ -155,13 +179,19 @@ mod tests {
 
     #[test]
     fn targets_are_short() {
-        assert_eq!(ERRORS.map(target), ["1 %", "0.3 %", "0.1 %", "0.03 %", "0.01 %"]);
+        assert_eq!(
+            ERRORS.map(target),
+            ["1 %", "0.3 %", "0.1 %", "0.03 %", "0.01 %"]
+        );
     }
 
     #[test]
     fn columns_are_even_and_bars_escaped() {
         let mut table = Table::new(["scene", "s"]);
         table.rows.push(vec!["a|b".to_owned(), "12.5".to_owned()]);
-        assert_eq!(table.markdown(), "| scene |    s |\n|-------|-----:|\n| a\\|b  | 12.5 |\n");
+        assert_eq!(
+            table.markdown(),
+            "| scene |    s |\n|-------|-----:|\n| a\\|b  | 12.5 |\n"
+        );
     }
 }

@@ -77,7 +77,11 @@ impl Times {
         for part in runs.iter().filter_map(|r| r.load) {
             load += part;
         }
-        let wall = wall.unwrap_or(Spread { median: 0.0, min: 0.0, max: 0.0 });
+        let wall = wall.unwrap_or(Spread {
+            median: 0.0,
+            min: 0.0,
+            max: 0.0,
+        });
         Self {
             repeats: runs.len(),
             seconds: wall.median,
@@ -105,26 +109,68 @@ mod tests {
     #[test]
     fn the_median_is_in_the_middle() {
         assert_eq!(Spread::of(&[]), None);
-        assert_eq!(Spread::of(&[4.0]), Some(Spread { median: 4.0, min: 4.0, max: 4.0 }));
-        assert_eq!(Spread::of(&[9.0, 1.0, 2.0]), Some(Spread { median: 2.0, min: 1.0, max: 9.0 }));
-        assert_eq!(Spread::of(&[9.0, 1.0, 2.0, 4.0]), Some(Spread { median: 3.0, min: 1.0, max: 9.0 }));
+        assert_eq!(
+            Spread::of(&[4.0]),
+            Some(Spread {
+                median: 4.0,
+                min: 4.0,
+                max: 4.0
+            })
+        );
+        assert_eq!(
+            Spread::of(&[9.0, 1.0, 2.0]),
+            Some(Spread {
+                median: 2.0,
+                min: 1.0,
+                max: 9.0
+            })
+        );
+        assert_eq!(
+            Spread::of(&[9.0, 1.0, 2.0, 4.0]),
+            Some(Spread {
+                median: 3.0,
+                min: 1.0,
+                max: 9.0
+            })
+        );
     }
 
     #[test]
     fn one_slow_run_does_not_move_the_times() {
-        let run = |wall, cpu| Took { wall, cpu, load: None };
-        let times = Times::of(&[run(1.0, Some(1.5)), run(30.0, Some(1.6)), run(1.2, Some(1.7))]);
-        assert_eq!((times.repeats, times.seconds, times.cpu_seconds), (3, 1.2, Some(1.6)));
+        let run = |wall, cpu| Took {
+            wall,
+            cpu,
+            load: None,
+        };
+        let times = Times::of(&[
+            run(1.0, Some(1.5)),
+            run(30.0, Some(1.6)),
+            run(1.2, Some(1.7)),
+        ]);
+        assert_eq!(
+            (times.repeats, times.seconds, times.cpu_seconds),
+            (3, 1.2, Some(1.6))
+        );
         assert_eq!((times.seconds_min, times.seconds_max), (1.0, 30.0));
         assert_eq!(times.spread(), Some(29.0 / 1.2));
-        assert_eq!((times.cpu_seconds_min, times.cpu_seconds_max), (Some(1.5), Some(1.7)));
+        assert_eq!(
+            (times.cpu_seconds_min, times.cpu_seconds_max),
+            (Some(1.5), Some(1.7))
+        );
         assert_eq!(times.others_share, None);
     }
 
     #[test]
     fn one_run_has_no_spread_and_unknown_cpu_time_stays_unknown() {
-        let known = Took { wall: 1.0, cpu: Some(1.0), load: None };
+        let known = Took {
+            wall: 1.0,
+            cpu: Some(1.0),
+            load: None,
+        };
         assert_eq!(Times::of(&[known]).spread(), None);
-        assert_eq!(Times::of(&[known, Took { cpu: None, ..known }]).cpu_seconds, None);
+        assert_eq!(
+            Times::of(&[known, Took { cpu: None, ..known }]).cpu_seconds,
+            None
+        );
     }
 }

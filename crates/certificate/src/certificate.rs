@@ -118,7 +118,9 @@ impl GroupCertificate {
 }
 
 fn find(hidden: &[HiddenGroup], triangle: u32) -> Option<&HiddenGroup> {
-    hidden.iter().find(|h| h.triangles.binary_search(&triangle).is_ok())
+    hidden
+        .iter()
+        .find(|h| h.triangles.binary_search(&triangle).is_ok())
 }
 
 /// Why a triangle is in a cell's set, or is not.
@@ -136,7 +138,9 @@ impl Witness {
             Self::Floats(ends) => ends.map(|e| e.as_dvec3().to_array()),
             Self::Exact(ends) => {
                 let [p, q] = &**ends;
-                [p, q].map(|e| std::array::from_fn(|k| sightline_numbers::integer::ratio(&e[k], &e[3])))
+                [p, q].map(|e| {
+                    std::array::from_fn(|k| sightline_numbers::integer::ratio(&e[k], &e[3]))
+                })
             }
         }
     }

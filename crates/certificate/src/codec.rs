@@ -25,7 +25,9 @@ const APART: u64 = 1 << 33;
 
 /// Bytes that are not a valid certificate.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the cell's certificate cannot be read: {0}; it is damaged or was written by another version")]
+#[error(
+    "the cell's certificate cannot be read: {0}; it is damaged or was written by another version"
+)]
 pub struct CodecError(&'static str);
 
 impl CodecError {

@@ -16,12 +16,23 @@ pub fn certificate(raw: &[u8]) -> bool {
         [[a, b, c], [a, c, d]]
     };
     let triangles = [wall(1.0), wall(2.0), wall(3.0)].concat();
-    let Ok(certificate) = codec::decode_raw(raw, triangles.len() as u32) else { return false };
+    let Ok(certificate) = codec::decode_raw(raw, triangles.len() as u32) else {
+        return false;
+    };
     let index = Triangles::new(&triangles);
     for visible in [&[][..], &[0, 1], &[0, 1, 2, 3, 4, 5]] {
         let cell = Aabb::new(Vec3::ZERO, Vec3::splat(0.5));
-        let above = certificate.shared.as_ref().filter(|_| certificate.above.is_some());
-        let claims = CellClaims { cell, visible, undecided: &[], certificate: &certificate, above };
+        let above = certificate
+            .shared
+            .as_ref()
+            .filter(|_| certificate.above.is_some());
+        let claims = CellClaims {
+            cell,
+            visible,
+            undecided: &[],
+            certificate: &certificate,
+            above,
+        };
         let _ = check_cell(&index, &claims, &|_| true);
     }
     true

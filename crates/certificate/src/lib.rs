@@ -56,9 +56,11 @@ pub mod fuzzing;
 pub mod proof;
 mod verify;
 
-pub use certificate::{CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Reason, Target, Witness};
+pub use certificate::{
+    CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Reason, Target, Witness,
+};
 pub use proof::{OccluderTriangle, Proof};
 pub use verify::{
-    BakedResult, CertificateReader, Certificates, Count, Hidden, NOT_REACHED, OnProgress, ReadError, Refused,
-    Report, SET_ASIDE, Sample, Totals, VerifyError, VerifyOptions, verify,
+    BakedResult, CertificateReader, Certificates, Count, Hidden, NOT_REACHED, OnProgress,
+    ReadError, Refused, Report, SET_ASIDE, Sample, Totals, VerifyError, VerifyOptions, verify,
 };

@@ -77,7 +77,12 @@ pub struct Proof {
 impl Proof {
     /// The triangles of all occluders, ascending and without duplicates.
     pub fn blockers(&self) -> Vec<u32> {
-        let mut out: Vec<u32> = self.occluders.iter().flatten().map(|t| t.triangle).collect();
+        let mut out: Vec<u32> = self
+            .occluders
+            .iter()
+            .flatten()
+            .map(|t| t.triangle)
+            .collect();
         out.sort_unstable();
         out.dedup();
         out

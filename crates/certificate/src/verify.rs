@@ -60,7 +60,8 @@ impl Report {
     /// The number of pairs whose triangle has no area; such triangles are never visible.
     pub fn without_area(&self) -> u64 {
         let t = &self.totals;
-        self.pairs.saturating_sub(t.witnesses.all + t.meeting.all + t.hidden.sum() + t.undecided)
+        self.pairs
+            .saturating_sub(t.witnesses.all + t.meeting.all + t.hidden.sum() + t.undecided)
     }
 }
 
@@ -120,14 +121,25 @@ pub fn verify(
 ) -> Result<Report, VerifyError> {
     let cells = result.cell_count();
     if triangles.len() as u64 != u64::from(result.triangle_count()) {
-        return Err(VerifyError::OtherScene { scene: triangles.len(), result: result.triangle_count() });
+        return Err(VerifyError::OtherScene {
+            scene: triangles.len(),
+            result: result.triangle_count(),
+        });
     }
-    let whole = |reason| Refused { cell: None, triangles: Vec::new(), reason };
+    let whole = |reason| Refused {
+        cell: None,
+        triangles: Vec::new(),
+        reason,
+    };
     if cells > 0 && result.certificate(0).map_err(whole)?.is_none() {
-        return Err(VerifyError::NoCertificates { method: result.method().to_owned() });
+        return Err(VerifyError::NoCertificates {
+            method: result.method().to_owned(),
+        });
     }
     consistency::check(result).map_err(whole)?;
-    let drawn = options.sample.map(|s| s.draw(cells, result.triangle_count()));
+    let drawn = options
+        .sample
+        .map(|s| s.draw(cells, result.triangle_count()));
     let never = || false;
     let verification = Verification {
         result,
@@ -143,7 +155,8 @@ pub fn verify(
     while next < cells {
         let batch = verification.batch(next);
         let check = |cell: &u32| verification.cell(*cell);
-        let checked: Vec<Result<CellTotals, Stop>> = batch.par_iter().with_max_len(1).map(check).collect();
+        let checked: Vec<Result<CellTotals, Stop>> =
+            batch.par_iter().with_max_len(1).map(check).collect();
         let mut verified = next;
         let mut cancelled = false;
         for (cell, checked) in batch.iter().zip(checked) {
@@ -156,7 +169,12 @@ pub fn verify(
                 }
                 Err(Stop::Cancelled) => cancelled = true,
                 Err(Stop::Refused { triangles, reason }) => {
-                    return Err(Refused { cell: Some(*cell), triangles, reason }.into());
+                    return Err(Refused {
+                        cell: Some(*cell),
+                        triangles,
+                        reason,
+                    }
+                    .into());
                 }
             }
         }
@@ -175,7 +193,11 @@ pub fn verify(
     })?;
     // Several cells of a sample may rely on one certificate of a cell group. It counts once.
     totals.certificates.checked += group_claims.len() as u64;
-    Ok(Report { cells, pairs: u64::from(cells) * triangles.len() as u64, totals })
+    Ok(Report {
+        cells,
+        pairs: u64::from(cells) * triangles.len() as u64,
+        totals,
+    })
 }
 
 /// Why the check of a cell ended early.
@@ -186,7 +208,10 @@ enum Stop {
 
 impl From<String> for Stop {
     fn from(reason: String) -> Self {
-        Self::Refused { triangles: Vec::new(), reason }
+        Self::Refused {
+            triangles: Vec::new(),
+            reason,
+        }
     }
 }
 
@@ -200,7 +225,10 @@ impl From<CellRefusal> for Stop {
     fn from(e: CellRefusal) -> Self {
         match e {
             CellRefusal::Cancelled => Self::Cancelled,
-            e => Self::Refused { triangles: e.triangles(), reason: e.to_string() },
+            e => Self::Refused {
+                triangles: e.triangles(),
+                reason: e.to_string(),
+            },
         }
     }
 }
@@ -219,10 +247,17 @@ impl Verification<'_> {
     /// cell has a long proof, few enough to hold all their certificates in memory.
     fn batch(&self, first: u32) -> Vec<u32> {
         let mut bytes = 0;
-        let end = first.saturating_add(2 * rayon::current_num_threads() as u32).min(self.result.cell_count());
+        let end = first
+            .saturating_add(2 * rayon::current_num_threads() as u32)
+            .min(self.result.cell_count());
         let fits = |cell: &u32| {
             // A certificate that cannot be read is refused when its cell is checked.
-            bytes += self.result.certificate(*cell).ok().flatten().map_or(0, <[u8]>::len);
+            bytes += self
+                .result
+                .certificate(*cell)
+                .ok()
+                .flatten()
+                .map_or(0, <[u8]>::len);
             *cell == first || bytes <= BATCH_BYTES
         };
         (first..end).take_while(fits).collect()
@@ -240,29 +275,51 @@ impl Verification<'_> {
         let undecided = self.result.undecided(cell)?;
         let unreached = self.result.flags(cell)? & NOT_REACHED != 0;
         if unreached && !visible.is_empty() {
-            return Err("no viewpoint is in the cell, but its set is not empty".to_owned().into());
+            return Err("no viewpoint is in the cell, but its set is not empty"
+                .to_owned()
+                .into());
         }
-        let bounds = self.result.cell_bounds(cell).ok_or_else(|| "the cell has no bounds".to_owned())?;
-        let certificates =
-            self.reader.read(self.result, cell)?.ok_or_else(|| "the cell has no certificate".to_owned())?;
+        let bounds = self
+            .result
+            .cell_bounds(cell)
+            .ok_or_else(|| "the cell has no bounds".to_owned())?;
+        let certificates = self
+            .reader
+            .read(self.result, cell)?
+            .ok_or_else(|| "the cell has no certificate".to_owned())?;
         // What such a cell stores is not checked as that of other cells, so they must not rely on it.
-        let only_boxes =
-            CellCertificate { apart: certificates.own.apart.clone(), ..CellCertificate::default() };
+        let only_boxes = CellCertificate {
+            apart: certificates.own.apart.clone(),
+            ..CellCertificate::default()
+        };
         if unreached && (certificates.own != only_boxes || !undecided.is_empty()) {
-            return Err("no viewpoint is in the cell, but it has claims about triangles".to_owned().into());
+            return Err(
+                "no viewpoint is in the cell, but it has claims about triangles"
+                    .to_owned()
+                    .into(),
+            );
         }
         let mut out = CellTotals::default();
         out.totals.undecided = undecided.len() as u64;
         out.totals.bytes = self.result.certificate(cell)?.map_or(0, |e| e.len() as u64);
         let (own, above) = (&certificates.own, certificates.above());
-        let claims =
-            CellClaims { cell: bounds, visible: &visible, undecided: &undecided, certificate: own, above };
+        let claims = CellClaims {
+            cell: bounds,
+            visible: &visible,
+            undecided: &undecided,
+            certificate: own,
+            above,
+        };
         let [witnesses, proofs, meeting, boxes] = [const { [const { AtomicU64::new(0) }; 2] }; 4];
         let group_claims = Mutex::new(Vec::new());
-        let any = |group: &HiddenGroup, w: &BTreeSet<u32>| group.triangles.iter().any(|t| w.contains(t));
+        let any =
+            |group: &HiddenGroup, w: &BTreeSet<u32>| group.triangles.iter().any(|t| w.contains(t));
         let pick = |claim: Claim| {
             let (counts, take) = match claim {
-                Claim::Seen(at) => (&witnesses, wanted.is_none_or(|w| w.contains(&own.seen[at].0))),
+                Claim::Seen(at) => (
+                    &witnesses,
+                    wanted.is_none_or(|w| w.contains(&own.seen[at].0)),
+                ),
                 Claim::Hidden(at) => (&proofs, wanted.is_none_or(|w| any(&own.hidden[at], w))),
                 // Stored here for other cells too, and checked once: with this cell, or for the cell of a
                 // sample that relies on it.
@@ -271,13 +328,19 @@ impl Verification<'_> {
                     let of = above.and_then(|shared| shared.hidden.get(at));
                     let take = wanted.is_some_and(|w| of.is_some_and(|group| any(group, w)));
                     if take {
-                        group_claims.lock().unwrap_or_else(PoisonError::into_inner).push(at);
+                        group_claims
+                            .lock()
+                            .unwrap_or_else(PoisonError::into_inner)
+                            .push(at);
                     }
                     return take;
                 }
                 Claim::Meets(id) => (&meeting, wanted.is_none_or(|w| w.contains(&id))),
                 // With a sample, as many boxes of a cell as pairs were drawn, beginning anywhere.
-                Claim::Apart(at) => (&boxes, wanted.is_none_or(|w| drawn_box(at, own.apart.len(), w))),
+                Claim::Apart(at) => (
+                    &boxes,
+                    wanted.is_none_or(|w| drawn_box(at, own.apart.len(), w)),
+                ),
             };
             counts[0].fetch_add(1, Ordering::Relaxed);
             counts[1].fetch_add(u64::from(take), Ordering::Relaxed);
@@ -290,13 +353,21 @@ impl Verification<'_> {
         } else {
             check_cell_until(&self.scene, &claims, &pick, self.cancelled)?;
         }
-        let group_claims = group_claims.into_inner().unwrap_or_else(PoisonError::into_inner);
-        out.group_claims =
-            group_claims.into_iter().filter_map(|at| Some((certificates.keeper()?, at))).collect();
+        let group_claims = group_claims
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner);
+        out.group_claims = group_claims
+            .into_iter()
+            .filter_map(|at| Some((certificates.keeper()?, at)))
+            .collect();
         // The check has shown that no triangle is in two groups.
-        certificates.hidden().for_each(|group| out.totals.hidden.add(group));
-        let count =
-            |[all, checked]: [AtomicU64; 2]| Count { all: all.into_inner(), checked: checked.into_inner() };
+        certificates
+            .hidden()
+            .for_each(|group| out.totals.hidden.add(group));
+        let count = |[all, checked]: [AtomicU64; 2]| Count {
+            all: all.into_inner(),
+            checked: checked.into_inner(),
+        };
         out.totals.witnesses = count(witnesses);
         out.totals.certificates = count(proofs);
         out.totals.meeting = count(meeting);
@@ -309,7 +380,9 @@ impl Verification<'_> {
 /// Whether a sample has the box `at` of `count`: as many boxes as pairs of the cell were drawn, in order
 /// from a place that these pairs give.
 fn drawn_box(at: usize, count: usize, wanted: &BTreeSet<u32>) -> bool {
-    let from = wanted.iter().fold(0usize, |sum, id| sum.wrapping_mul(31).wrapping_add(*id as usize)) % count;
+    let from = wanted.iter().fold(0usize, |sum, id| {
+        sum.wrapping_mul(31).wrapping_add(*id as usize)
+    }) % count;
     (at + count - from) % count < wanted.len()
 }
 

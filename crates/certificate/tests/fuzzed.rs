@@ -16,7 +16,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -55,7 +56,10 @@ fn mutate(r: &mut Random, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
 #[test]
 fn inputs_that_once_crashed_do_not() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
-    let mut kept: Vec<_> = std::fs::read_dir(crashes).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut kept: Vec<_> = std::fs::read_dir(crashes)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     kept.sort();
     assert!(!kept.is_empty(), "the folder has a README at least");
     for path in kept {
@@ -70,8 +74,13 @@ fn mutated_certificates_do_not_crash() {
         assert!(certificate(seed), "seed {s} must be valid");
         let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
         let other = &seeds[(s + 1) % seeds.len()];
-        let decoded = (0..ROUNDS).filter(|_| certificate(&mutate(&mut r, seed.clone(), other))).count();
+        let decoded = (0..ROUNDS)
+            .filter(|_| certificate(&mutate(&mut r, seed.clone(), other)))
+            .count();
         // Mutations that are all refused, or all decoded, would reach little of the code.
-        assert!((ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&decoded), "seed {s}: {decoded} of {ROUNDS}");
+        assert!(
+            (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&decoded),
+            "seed {s}: {decoded} of {ROUNDS}"
+        );
     }
 }

@@ -7,8 +7,8 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use sightline_certificate::{
-    BakedResult, CellCertificate, Count, Hidden, NOT_REACHED, Sample, VerifyError, VerifyOptions, codec,
-    verify,
+    BakedResult, CellCertificate, Count, Hidden, NOT_REACHED, Sample, VerifyError, VerifyOptions,
+    codec, verify,
 };
 use sightline_numbers::Aabb;
 use support::{CELL, alone, relying, sharing, triangles};
@@ -78,13 +78,26 @@ fn a_sound_result_is_accepted_and_counted() {
     let result = Memory::new(&[alone(), sharing(), relying()]);
     let calls = Mutex::new(Vec::new());
     let progress = |done, cells| calls.lock().unwrap().push((done, cells));
-    let options = VerifyOptions { progress: Some(&progress), ..VerifyOptions::default() };
+    let options = VerifyOptions {
+        progress: Some(&progress),
+        ..VerifyOptions::default()
+    };
     let report = verify(&triangles(), &result, &options).unwrap();
-    assert_eq!((report.cells, report.pairs, report.without_area()), (3, 18, 0));
+    assert_eq!(
+        (report.cells, report.pairs, report.without_area()),
+        (3, 18, 0)
+    );
     assert_eq!(report.totals.witnesses, Count { all: 6, checked: 6 });
     // The groups that two cells rely on are stored, checked, and counted once.
     assert_eq!(report.totals.certificates, Count { all: 4, checked: 4 });
-    assert_eq!(report.totals.hidden, Hidden { by_surface: 0, in_boxes: 6, alone: 6 });
+    assert_eq!(
+        report.totals.hidden,
+        Hidden {
+            by_surface: 0,
+            in_boxes: 6,
+            alone: 6
+        }
+    );
     assert_eq!(calls.lock().unwrap().last(), Some(&(3, 3)));
 }
 
@@ -92,8 +105,15 @@ fn a_sound_result_is_accepted_and_counted() {
 fn a_sample_checks_fewer_claims_of_the_same_result() {
     let result = Memory::new(&[alone(), sharing(), relying()]);
     let sample = Some(Sample { pairs: 3, seed: 1 });
-    let report =
-        verify(&triangles(), &result, &VerifyOptions { sample, ..VerifyOptions::default() }).unwrap();
+    let report = verify(
+        &triangles(),
+        &result,
+        &VerifyOptions {
+            sample,
+            ..VerifyOptions::default()
+        },
+    )
+    .unwrap();
     let totals = report.totals;
     assert_eq!((totals.witnesses.all, totals.certificates.all), (6, 4));
     let checked = totals.witnesses.checked + totals.certificates.checked + totals.meeting.checked;
@@ -104,17 +124,33 @@ fn a_sample_checks_fewer_claims_of_the_same_result() {
 fn a_false_claim_is_refused_with_its_cell_and_triangles() {
     let mut false_witness = alone();
     false_witness.seen[1].1 = false_witness.seen[0].1.clone();
-    let refused = verify(&triangles(), &Memory::new(&[alone(), false_witness]), &VerifyOptions::default());
-    let Err(VerifyError::Refused(refused)) = refused else { panic!("{refused:?}") };
+    let refused = verify(
+        &triangles(),
+        &Memory::new(&[alone(), false_witness]),
+        &VerifyOptions::default(),
+    );
+    let Err(VerifyError::Refused(refused)) = refused else {
+        panic!("{refused:?}")
+    };
     assert_eq!((refused.cell, &*refused.triangles), (Some(1), &[1][..]));
     assert!(!refused.reason.is_empty());
     let mut moved = alone();
     moved.hidden[0].proofs.pop();
-    let refused = verify(&triangles(), &Memory::new(&[moved]), &VerifyOptions::default());
-    let Err(VerifyError::Refused(refused)) = refused else { panic!("{refused:?}") };
+    let refused = verify(
+        &triangles(),
+        &Memory::new(&[moved]),
+        &VerifyOptions::default(),
+    );
+    let Err(VerifyError::Refused(refused)) = refused else {
+        panic!("{refused:?}")
+    };
     assert_eq!((refused.cell, &*refused.triangles), (Some(0), &[2, 3][..]));
     // A cell that relies on a cell without a shared certificate.
-    let refused = verify(&triangles(), &Memory::new(&[alone(), relying()]), &VerifyOptions::default());
+    let refused = verify(
+        &triangles(),
+        &Memory::new(&[alone(), relying()]),
+        &VerifyOptions::default(),
+    );
     assert!(matches!(refused, Err(VerifyError::Refused(r)) if r.cell == Some(1)));
 }
 
@@ -126,10 +162,13 @@ fn statements_about_the_whole_result_are_checked() {
         verify(&triangles(), &result, &VerifyOptions::default())
     };
     assert!(check(&|r| r.parameters = r#"{"method":"exact","division":{"grid":[1,1,1]}}"#).is_ok());
-    let whole = |r: Result<_, VerifyError>| matches!(r, Err(VerifyError::Refused(r)) if r.cell.is_none());
+    let whole =
+        |r: Result<_, VerifyError>| matches!(r, Err(VerifyError::Refused(r)) if r.cell.is_none());
     assert!(whole(check(&|r| r.method = "trust")));
     assert!(whole(check(&|r| r.parameters = r#"{"method":"verified"}"#)));
-    assert!(whole(check(&|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#)));
+    assert!(whole(check(
+        &|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#
+    )));
     assert!(whole(check(&|r| r.flags = 4)));
     // A cell is said to have no viewpoints only where the parameters say how many have some, and has an empty
     // set then.
@@ -148,9 +187,22 @@ fn statements_about_the_whole_result_are_checked() {
             matches!(refused, Err(VerifyError::Refused(r)) if r.reason.contains("claims about triangles"))
         );
     }
-    assert!(matches!(check(&|r| r.certificates = None), Err(VerifyError::NoCertificates { .. })));
-    let fewer = verify(&triangles()[..5], &Memory::new(&[alone()]), &VerifyOptions::default());
-    assert_eq!(fewer, Err(VerifyError::OtherScene { scene: 5, result: 6 }));
+    assert!(matches!(
+        check(&|r| r.certificates = None),
+        Err(VerifyError::NoCertificates { .. })
+    ));
+    let fewer = verify(
+        &triangles()[..5],
+        &Memory::new(&[alone()]),
+        &VerifyOptions::default(),
+    );
+    assert_eq!(
+        fewer,
+        Err(VerifyError::OtherScene {
+            scene: 5,
+            result: 6
+        })
+    );
 }
 
 #[test]
@@ -159,7 +211,10 @@ fn a_cancelled_verification_says_how_far_it_got() {
     let result = Memory::new(&cells);
     let asked = AtomicU32::new(0);
     let cancelled = || asked.fetch_add(1, Ordering::Relaxed) >= 900;
-    let options = VerifyOptions { cancelled: Some(&cancelled), ..VerifyOptions::default() };
+    let options = VerifyOptions {
+        cancelled: Some(&cancelled),
+        ..VerifyOptions::default()
+    };
     match verify(&triangles(), &result, &options) {
         Err(VerifyError::Cancelled { verified, cells }) => {
             assert!(verified > 0 && verified < 400 && cells == 400)

@@ -17,20 +17,34 @@ use sightline_viewcells::Division;
 /// The scene, the connection, or the reason why the job has no result.
 pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> {
     let scene = sightline_scene::load(path)?;
-    let mut client =
-        JobsClient::new(sightline_proto::connecting::Credentials::default().endpoint(url)?.connect().await?);
+    let mut client = JobsClient::new(
+        sightline_proto::connecting::Credentials::default()
+            .endpoint(url)?
+            .connect()
+            .await?,
+    );
 
     // The scene travels as chunks that are named by their content; the coordinator says which it lacks.
     let blob = scene.to_blob();
     let parts: Vec<&[u8]> = blob.chunks(chunks::CHUNK_BYTES).collect();
-    let digests: Vec<Vec<u8>> = parts.iter().map(|p| blake3::hash(p).as_bytes().to_vec()).collect();
-    let request = v1::MissingChunksRequest { digests: digests.clone() };
+    let digests: Vec<Vec<u8>> = parts
+        .iter()
+        .map(|p| blake3::hash(p).as_bytes().to_vec())
+        .collect();
+    let request = v1::MissingChunksRequest {
+        digests: digests.clone(),
+    };
     let missing = client.missing_chunks(request).await?.into_inner().digests;
     let wanted = (0..parts.len()).filter(|i| missing.contains(&digests[*i]));
     let sent: Vec<v1::Chunk> = wanted.map(|i| chunks::piece(parts[i], 0)).collect();
     client.put_chunks(tokio_stream::iter(sent)).await?;
     let digest = scene.digest().0;
-    client.put_scene(v1::PutSceneRequest { digest: digest.to_vec(), chunks: digests }).await?;
+    client
+        .put_scene(v1::PutSceneRequest {
+            digest: digest.to_vec(),
+            chunks: digests,
+        })
+        .await?;
 
     // A request with the same id again is answered with the same job.
     let spec = JobSpec::new(digest, Division::Grid([4, 2, 4]), scene.bounds());
@@ -41,7 +55,12 @@ pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> 
         spec: Some(spec.to_proto()),
         ..Default::default()
     };
-    let job = client.submit(request).await?.into_inner().job.ok_or("the answer has no job")?;
+    let job = client
+        .submit(request)
+        .await?
+        .into_inner()
+        .job
+        .ok_or("the answer has no job")?;
     let id = v1::ShowRequest { job: job.id };
 
     // The stream ends with the job.

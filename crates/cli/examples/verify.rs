@@ -27,5 +27,12 @@ pub fn verify_files(scene: &Path, result: &Path) -> Result<Report, Box<dyn Error
     let triangles: Vec<_> = scene.triangles().iter().map(|t| t.v).collect();
     let result = sightline_pvs::Pvs::open(result)?;
     let progress = |done, cells| println!("{done} of {cells} cells");
-    Ok(verify(&triangles, &result, &VerifyOptions { progress: Some(&progress), ..VerifyOptions::default() })?)
+    Ok(verify(
+        &triangles,
+        &result,
+        &VerifyOptions {
+            progress: Some(&progress),
+            ..VerifyOptions::default()
+        },
+    )?)
 }

@@ -6,9 +6,11 @@ use crate::{ambient_file, ambient_points};
 
 /// Answers for the points of a file, or puts the occlusion into the scene's own.
 pub fn run(args: &AmbientArgs, json: bool) -> Result<(), CliError> {
-    if args.points.is_none() && (args.fragments || args.lights.is_some() || args.threads.is_some()) {
+    if args.points.is_none() && (args.fragments || args.lights.is_some() || args.threads.is_some())
+    {
         return Err(CliError::Usage(
-            "--fragments, --lights and --threads are for --points; leave them out, or give points".to_owned(),
+            "--fragments, --lights and --threads are for --points; leave them out, or give points"
+                .to_owned(),
         ));
     }
     if args.kinds.cull_back_faces {
@@ -22,6 +24,8 @@ pub fn run(args: &AmbientArgs, json: bool) -> Result<(), CliError> {
         )),
         (Some(points), None) => ambient_points::run(args, points),
         (None, Some(output)) => ambient_file::run(args, output, json),
-        (None, None) => Err(CliError::Usage("give --points P.jsonl or -o OUT.glb".to_owned())),
+        (None, None) => Err(CliError::Usage(
+            "give --points P.jsonl or -o OUT.glb".to_owned(),
+        )),
     }
 }

@@ -68,7 +68,12 @@ pub struct AmbientArgs {
     #[arg(long, value_name = "PX", conflicts_with = "points")]
     pub resolution: Option<u32>,
     /// Bits of a value, 8 or 16.
-    #[arg(long, value_name = "8|16", default_value_t = 8, conflicts_with = "points")]
+    #[arg(
+        long,
+        value_name = "8|16",
+        default_value_t = 8,
+        conflicts_with = "points"
+    )]
     #[arg(value_parser = clap::value_parser!(u8).range(8..=16))]
     pub bits: u8,
     /// Use TEXCOORD_1 of the file, or make new texture coordinates. Default: TEXCOORD_1 where it can be used,

@@ -14,13 +14,16 @@ const DIAGONAL_BY_DISTANCE: f64 = 20.0;
 pub fn distance(args: &AmbientArgs, scene: &Scene) -> Result<f64, CliError> {
     let Some(text) = &args.distance else {
         let bounds = scene.bounds();
-        let distance = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length() / DIAGONAL_BY_DISTANCE;
+        let distance =
+            (bounds.max.as_dvec3() - bounds.min.as_dvec3()).length() / DIAGONAL_BY_DISTANCE;
         if distance <= 0.0 {
             return Err(CliError::Input(
                 "the scene is a single point, which gives no distance; give --distance".to_owned(),
             ));
         }
-        say(&format!("distance {distance:.4}, a twentieth of the scene's diagonal; --distance sets another"));
+        say(&format!(
+            "distance {distance:.4}, a twentieth of the scene's diagonal; --distance sets another"
+        ));
         return Ok(distance);
     };
     let distance: f64 = text.parse().unwrap_or(f64::NAN);

@@ -27,7 +27,9 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), CliError> 
     serve::use_threads(threads(None))?;
     let output = Output::check(path, Format::Glb, Some(&args.scene)).map_err(|e| {
         // Its own contract wants 3 where a file would replace the scene.
-        let same = std::fs::canonicalize(path).ok().zip(std::fs::canonicalize(&args.scene).ok());
+        let same = std::fs::canonicalize(path)
+            .ok()
+            .zip(std::fs::canonicalize(&args.scene).ok());
         match e {
             CliError::Usage(text) if same.is_some_and(|(a, b)| a == b) => CliError::Input(text),
             e => e,
@@ -38,22 +40,39 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), CliError> 
     let of_scene = |e: &dyn std::fmt::Display| CliError::Input(e.to_string());
     let name = args.scene.display().to_string();
     let bytes = std::fs::read(&args.scene).map_err(|e| CliError::Input(format!("{name}: {e}")))?;
-    let plan =
-        Plan::new(&name, &bytes, args.scene.parent(), &scene, &texels(args)?).map_err(|e| of_scene(&e))?;
+    let plan = Plan::new(&name, &bytes, args.scene.parent(), &scene, &texels(args)?)
+        .map_err(|e| of_scene(&e))?;
     plan.notes().iter().for_each(|note| say(note));
     let receivers: Vec<Receiver> = plan
         .receivers()
         .iter()
-        .map(|r| Receiver { point: r.point, normal: r.normal, triangle: Some(r.triangle) })
+        .map(|r| Receiver {
+            point: r.point,
+            normal: r.normal,
+            triangle: Some(r.triangle),
+        })
         .collect();
-    say(&format!("{} in {}", plural(receivers.len(), "point"), plural(scene.triangles().len(), "triangle")));
+    say(&format!(
+        "{} in {}",
+        plural(receivers.len(), "point"),
+        plural(scene.triangles().len(), "triangle")
+    ));
     let prepared = Prepared::new(&scene, false)?;
-    let settings = Settings { falloff: args.falloff.falloff(), ..Settings::new(distance) };
+    let settings = Settings {
+        falloff: args.falloff.falloff(),
+        ..Settings::new(distance)
+    };
     let ordered = Ordered::new(&Solver::new(&prepared, settings), &receivers);
-    let whom = Whom { name: short(&args.scene), ..Whom::default() };
+    let whom = Whom {
+        name: short(&args.scene),
+        ..Whom::default()
+    };
     let (job, openness) = match &args.coordinator {
         Some(url) => {
-            let remote = RemoteArgs { coordinator: url.clone(), keys: args.keys.clone() };
+            let remote = RemoteArgs {
+                coordinator: url.clone(),
+                keys: args.keys.clone(),
+            };
             ambient_job::compute(&remote, &scene, &ordered.receivers, &whom)?
         }
         None => {
@@ -74,14 +93,25 @@ pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), CliError> 
     let values: Vec<Value> = receivers
         .par_iter()
         .zip(&open)
-        .map(|(r, open)| Value { open: f64::from(*open), inside: prepared.is_inside(r) })
+        .map(|(r, open)| Value {
+            open: f64::from(*open),
+            inside: prepared.is_inside(r),
+        })
         .collect();
     let written = plan.write(&values).map_err(|e| of_scene(&e))?;
     let mut part = output.begin()?;
-    part.write_all(&written.glb).map_err(|e| CliError::writing(output.path(), &e))?;
+    part.write_all(&written.glb)
+        .map_err(|e| CliError::writing(output.path(), &e))?;
     part.place()?;
     written.notes.iter().for_each(|note| say(note));
-    report(args, path, &values, (&written, openness.bound, job.id), start, json)
+    report(
+        args,
+        path,
+        &values,
+        (&written, openness.bound, job.id),
+        start,
+        json,
+    )
 }
 
 /// What the flags say of the texture or the vertices.
@@ -89,7 +119,11 @@ fn texels(args: &AmbientArgs) -> Result<sightline_texels::Settings, CliError> {
     let bits = match args.bits {
         8 => Bits::Eight,
         16 => Bits::Sixteen,
-        other => return Err(CliError::Usage(format!("--bits {other}: values have 8 or 16 bits"))),
+        other => {
+            return Err(CliError::Usage(format!(
+                "--bits {other}: values have 8 or 16 bits"
+            )));
+        }
     };
     Ok(sightline_texels::Settings {
         target: match args.to {
@@ -112,7 +146,11 @@ fn texels(args: &AmbientArgs) -> Result<sightline_texels::Settings, CliError> {
 
 /// A job's name: that of the file.
 fn short(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let name = path
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
     name.chars().filter(|c| !c.is_control()).take(32).collect()
 }
 
@@ -126,12 +164,20 @@ fn report(
 ) -> Result<(), CliError> {
     let facts = &written.facts;
     let inside = values.iter().filter(|v| v.inside).count();
-    let mean = values.iter().filter(|v| !v.inside).map(|v| v.open).sum::<f64>()
+    let mean = values
+        .iter()
+        .filter(|v| !v.inside)
+        .map(|v| v.open)
+        .sum::<f64>()
         / values.len().saturating_sub(inside).max(1) as f64;
     // Answers of jobs are in single precision.
     let bound = bound + f64::from(f32::EPSILON) / 2.0;
     let is_texture = args.to == To::Texture;
-    let receivers = if is_texture { facts.texels } else { facts.vertices };
+    let receivers = if is_texture {
+        facts.texels
+    } else {
+        facts.vertices
+    };
     let took = start.elapsed();
     if json {
         let texture = is_texture.then(|| {
@@ -153,7 +199,10 @@ fn report(
         return print(&value.to_string());
     }
     let what = if is_texture {
-        format!("{} x {} texels, {receivers} of them on the surface", facts.width, facts.height)
+        format!(
+            "{} x {} texels, {receivers} of them on the surface",
+            facts.width, facts.height
+        )
     } else {
         format!("{receivers} vertices")
     };

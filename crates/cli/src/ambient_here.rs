@@ -43,10 +43,17 @@ pub fn compute(
         if job.state() != v1::JobState::Done {
             if job.state() == v1::JobState::Paused {
                 let request = v1::ShowRequest { job: job.id };
-                job = client.resume(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+                job = client
+                    .resume(request)
+                    .await
+                    .map_err(|s| CliError::status(&s))?
+                    .into_inner();
             }
             if job.tiles_done > 0 {
-                say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
+                say(&format!(
+                    "going on: {} of {} tiles are done",
+                    job.tiles_done, job.tiles_total
+                ));
             }
             let scenes = Arc::new(SceneCache::holding(scene.digest().0, Arc::clone(&loaded)));
             let mut workers = Workers::start(workers, &Traces::default(), &url, &backends, &scenes);

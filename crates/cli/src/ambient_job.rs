@@ -32,8 +32,16 @@ impl Ordered {
         let blocks = solver.blocks(all);
         let order: Vec<u32> = blocks.iter().flatten().copied().collect();
         let receiver = |i: &u32| {
-            let Receiver { point, normal, triangle } = all[*i as usize];
-            receivers::Receiver { point: point.to_array(), normal: normal.to_array(), triangle }
+            let Receiver {
+                point,
+                normal,
+                triangle,
+            } = all[*i as usize];
+            receivers::Receiver {
+                point: point.to_array(),
+                normal: normal.to_array(),
+                triangle,
+            }
         };
         let asked = Asked {
             distance: settings.distance,
@@ -49,14 +57,25 @@ impl Ordered {
         };
         let receivers = order.iter().map(receiver).collect();
         let blocks = blocks.iter().map(|block| block.len() as u32).collect();
-        Self { receivers: Receivers { asked, blocks, receivers }, order }
+        Self {
+            receivers: Receivers {
+                asked,
+                blocks,
+                receivers,
+            },
+            order,
+        }
     }
 
     /// The numbers of each receiver in the caller's order, one receiver after the other.
     pub fn back(&self, openness: &Openness) -> Vec<f32> {
         let numbers = openness.numbers as usize;
         let mut back = vec![f32::NAN; openness.values.len()];
-        for (to, from) in self.order.iter().zip(openness.values.chunks_exact(numbers.max(1))) {
+        for (to, from) in self
+            .order
+            .iter()
+            .zip(openness.values.chunks_exact(numbers.max(1)))
+        {
             let start = *to as usize * numbers;
             if let Some(place) = back.get_mut(start..start + numbers) {
                 place.copy_from_slice(from);
@@ -124,7 +143,9 @@ pub async fn submit(
     receivers: &Receivers,
     whom: &Whom,
 ) -> Result<v1::Job, CliError> {
-    let bytes = receivers.encode().map_err(|e| CliError::Input(e.to_string()))?;
+    let bytes = receivers
+        .encode()
+        .map_err(|e| CliError::Input(e.to_string()))?;
     let ambient = Ambient {
         receivers: *blake3::hash(&bytes).as_bytes(),
         bytes: bytes.len() as u64,
@@ -140,7 +161,10 @@ pub async fn submit(
         user: whom.user.clone(),
     };
     client::upload(client, scene).await?;
-    let put = v1::PutReceiversRequest { chunks: blob.chunks.clone(), digest: blob.digest.clone() };
+    let put = v1::PutReceiversRequest {
+        chunks: blob.chunks.clone(),
+        digest: blob.digest.clone(),
+    };
     let mut answer = None;
     // Another job with the same receivers may be deleted, and they with it, before this one names them.
     for is_last in [false, true] {
@@ -162,7 +186,10 @@ pub async fn submit(
         say(&format!("job {} does this already", job.id));
     }
     if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {
-        say(&format!("an earlier run set {} tiles aside: trying them again", job.tiles_set_aside));
+        say(&format!(
+            "an earlier run set {} tiles aside: trying them again",
+            job.tiles_set_aside
+        ));
         let request = v1::ShowRequest { job: job.id };
         return client
             .retry(request)

@@ -3,7 +3,9 @@
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
-use sightline_ambient::{Answer, Light, LightLine, PointLine, Prepared, Receiver, Settings, Solver};
+use sightline_ambient::{
+    Answer, Light, LightLine, PointLine, Prepared, Receiver, Settings, Solver,
+};
 
 use crate::ambient_args::AmbientArgs;
 use crate::ambient_distance::distance;
@@ -35,7 +37,12 @@ pub fn run(args: &AmbientArgs, path: &Path) -> Result<(), CliError> {
         ..Settings::new(distance)
     };
     let prepared = Prepared::new(&scene, args.fragments)?;
-    answer_all(path, scene.triangles().len(), &Solver::new(&prepared, settings), &names)
+    answer_all(
+        path,
+        scene.triangles().len(),
+        &Solver::new(&prepared, settings),
+        &names,
+    )
 }
 
 /// The names and shapes of the lights of a file.
@@ -43,7 +50,8 @@ fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
     let mut input = JsonLines::open(path, "--lights", r#"{"id":"lamp","polygon":[[x,y,z],…]}"#)?;
     let (mut names, mut lights): (Vec<String>, Vec<Light>) = (Vec::new(), Vec::new());
     loop {
-        let (lines, failure) = input.read(|line: LightLine| line.light().map_err(|e| e.to_string()));
+        let (lines, failure) =
+            input.read(|line: LightLine| line.light().map_err(|e| e.to_string()));
         let last = lines.is_empty();
         for (name, light) in lines {
             if names.contains(&name) {
@@ -69,7 +77,12 @@ fn lights(path: &Path) -> Result<(Vec<String>, Vec<Light>), CliError> {
     }
 }
 
-fn answer_all(path: &Path, triangles: usize, solver: &Solver<'_>, lights: &[String]) -> Result<(), CliError> {
+fn answer_all(
+    path: &Path,
+    triangles: usize,
+    solver: &Solver<'_>,
+    lights: &[String],
+) -> Result<(), CliError> {
     let example = r#"{"id":1,"point":[x,y,z],"normal":[x,y,z],"triangle":t}"#;
     let mut input = JsonLines::open(path, "--points", example)?;
     let (mut points, mut most) = (0u64, 0.0f64);
@@ -102,7 +115,10 @@ fn answer_all(path: &Path, triangles: usize, solver: &Solver<'_>, lights: &[Stri
     }
     say(&match points {
         0 => "0 points".to_owned(),
-        _ => format!("{}, each right to {most:.0e}", plural(points as usize, "point")),
+        _ => format!(
+            "{}, each right to {most:.0e}",
+            plural(points as usize, "point")
+        ),
     });
     ended
 }
@@ -118,7 +134,10 @@ fn in_json(id: &Value, answer: &Answer, settings: &Settings, lights: &[String]) 
         "inside": answer.inside,
     });
     if !lights.is_empty() {
-        let factors = lights.iter().zip(&answer.lights).map(|(name, factor)| (name.clone(), json!(factor)));
+        let factors = lights
+            .iter()
+            .zip(&answer.lights)
+            .map(|(name, factor)| (name.clone(), json!(factor)));
         line["lights"] = Value::Object(factors.collect::<Map<_, _>>());
     }
     if settings.fragments {

@@ -40,7 +40,13 @@ struct Question {
 
 /// The routes of the server.
 pub fn pages(page: String, result: &Path, pvs: Pvs, scene: Option<Scene>) -> Router {
-    let served = Served { page, result: result.to_owned(), pvs, scene, turn: Arc::default() };
+    let served = Served {
+        page,
+        result: result.to_owned(),
+        pvs,
+        scene,
+        turn: Arc::default(),
+    };
     Router::new()
         .route("/", get(html))
         .route(PATH, post(why))
@@ -50,9 +56,18 @@ pub fn pages(page: String, result: &Path, pvs: Pvs, scene: Option<Scene>) -> Rou
 
 /// Refuses the pages of other sites, which could reach this address under a name of their own.
 async fn only_by_this_machine(headers: HeaderMap, request: Request, next: Next) -> Response {
-    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or("");
-    let name = host.split(':').next().unwrap_or_default().to_ascii_lowercase();
-    let is_own = headers.get(header::ORIGIN).is_none_or(|origin| origin.as_bytes() == own(host).as_bytes());
+    let host = headers
+        .get(header::HOST)
+        .and_then(|host| host.to_str().ok())
+        .unwrap_or("");
+    let name = host
+        .split(':')
+        .next()
+        .unwrap_or_default()
+        .to_ascii_lowercase();
+    let is_own = headers
+        .get(header::ORIGIN)
+        .is_none_or(|origin| origin.as_bytes() == own(host).as_bytes());
     if !["127.0.0.1", "localhost"].contains(&name.as_str()) || !is_own {
         return (StatusCode::FORBIDDEN, "ask for 127.0.0.1\n").into_response();
     }
@@ -65,16 +80,28 @@ fn own(host: &str) -> String {
 }
 
 async fn html(State(served): State<Arc<Served>>) -> Response {
-    let kind = [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CACHE_CONTROL, "no-store")];
+    let kind = [
+        (header::CONTENT_TYPE, "text/html; charset=utf-8"),
+        (header::CACHE_CONTROL, "no-store"),
+    ];
     (kind, served.page.clone()).into_response()
 }
 
 async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes) -> Response {
-    let json =
-        |status, text: String| (status, [(header::CONTENT_TYPE, "application/json")], text).into_response();
-    let refuse = |message: &str| json(StatusCode::BAD_REQUEST, json!({"message": message}).to_string());
+    let json = |status, text: String| {
+        (status, [(header::CONTENT_TYPE, "application/json")], text).into_response()
+    };
+    let refuse = |message: &str| {
+        json(
+            StatusCode::BAD_REQUEST,
+            json!({"message": message}).to_string(),
+        )
+    };
     // A form of another site cannot name this type.
-    if headers.get(header::CONTENT_TYPE).is_none_or(|kind| kind.as_bytes() != b"application/json") {
+    if headers
+        .get(header::CONTENT_TYPE)
+        .is_none_or(|kind| kind.as_bytes() != b"application/json")
+    {
         return refuse("ask with content-type: application/json");
     }
     let asked: Question = match serde_json::from_slice(&body) {
@@ -95,7 +122,9 @@ async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes)
 }
 
 fn answer(served: &Served, Question { cell, triangle }: Question) -> Result<String, String> {
-    let Served { pvs, scene, result, .. } = served;
+    let Served {
+        pvs, scene, result, ..
+    } = served;
     let scene = scene.as_ref().ok_or("the page has no scene")?;
     if cell >= pvs.cells() || triangle >= pvs.triangle_count() {
         return Err(format!("there is no cell {cell} or no triangle {triangle}"));

@@ -29,7 +29,8 @@ impl Answers for Commands {
         cell_and_triangle: (u32, u32),
         is_gone: &dyn Fn() -> bool,
     ) -> Result<v1::WhyResponse, String> {
-        let answer = reasons::ask_as_message(pvs, Path::new(RESULT), &scene, cell_and_triangle, is_gone);
+        let answer =
+            reasons::ask_as_message(pvs, Path::new(RESULT), &scene, cell_and_triangle, is_gone);
         answer.map_err(|e| e.to_string())
     }
 
@@ -56,13 +57,19 @@ impl Answers for Commands {
             backend: BackendChoice::Auto,
         };
         let report =
-            measuring::measured_in(&args, pvs, Arc::new(scene), (None, None), &mut |_, _| !is_gone());
+            measuring::measured_in(&args, pvs, Arc::new(scene), (None, None), &mut |_, _| {
+                !is_gone()
+            });
         let report = report.map_err(|e| e.to_string())?;
         let of = |value: &Value, key: &str| value[key].as_f64().unwrap_or_default();
         let frame = |value: &Value| {
             let at = |axis: usize| value["viewpoint"][axis].as_f64().unwrap_or_default() as f32;
             v1::WrongFrame {
-                viewpoint: Some(v1::Point { x: at(0), y: at(1), z: at(2) }),
+                viewpoint: Some(v1::Point {
+                    x: at(0),
+                    y: at(1),
+                    z: at(2),
+                }),
                 cell: value["cell"].as_u64().unwrap_or_default() as u32,
                 error: of(value, "error"),
             }
@@ -72,7 +79,9 @@ impl Answers for Commands {
             mean_error: of(&report, "mean_error"),
             p99_error: of(&report, "p99_error"),
             max_error: of(&report, "max_error"),
-            worst: report["worst"].as_array().map_or_else(Vec::new, |all| all.iter().map(frame).collect()),
+            worst: report["worst"]
+                .as_array()
+                .map_or_else(Vec::new, |all| all.iter().map(frame).collect()),
         })
     }
 }

@@ -12,8 +12,8 @@ use crate::job_args::JobArgs;
 use crate::kind_args::KindArgs;
 use crate::place_args::{parse_box, parse_point};
 use crate::remote_args::{
-    FetchArgs, InvalidateArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs, ShowArgs,
-    SubmitArgs, WorkersArgs,
+    FetchArgs, InvalidateArgs, JobRefArgs, JobsArgs, LogsArgs, PauseArgs, PriorityArgs, RemoteArgs,
+    ShowArgs, SubmitArgs, WorkersArgs,
 };
 use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
 use crate::serve_args::{CoordinatorArgs, LogFormat, WorkerArgs};
@@ -64,7 +64,11 @@ impl Cli {
     /// The log filter without SIGHTLINE_LOG: servers log events, other commands only warnings.
     pub fn default_log(&self) -> &'static str {
         // The scheduler logs which backend it chose, and why.
-        if self.serves() { "info" } else { "warn,sightline_coordinator::scheduler=info" }
+        if self.serves() {
+            "info"
+        } else {
+            "warn,sightline_coordinator::scheduler=info"
+        }
     }
 }
 
@@ -177,7 +181,8 @@ pub struct BakeArgs {
 
 /// Reads one coordinate of a point.
 fn coordinate(text: &str) -> Result<f32, String> {
-    text.parse().map_err(|_| "give the point as three numbers, as in 1.5 0 -2".to_owned())
+    text.parse()
+        .map_err(|_| "give the point as three numbers, as in 1.5 0 -2".to_owned())
 }
 
 #[derive(Args, Debug)]
@@ -493,6 +498,12 @@ pub struct SightlinesArgs {
 }
 
 fn parse_grid(text: &str) -> Result<[u32; 2], String> {
-    let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
-    parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give two numbers as in 8x8".to_owned())
+    let parts = text
+        .split(['x', 'X'])
+        .map(|p| p.trim().parse())
+        .collect::<Result<Vec<u32>, _>>();
+    parts
+        .ok()
+        .and_then(|p| p.try_into().ok())
+        .ok_or_else(|| "give two numbers as in 8x8".to_owned())
 }

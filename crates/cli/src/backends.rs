@@ -35,7 +35,11 @@ pub fn choice(backend: BackendChoice) -> Choice {
 
 /// Says so when a result of one kind of backend, by its profile, is judged with another one.
 pub fn say_other(made: &str, judged: &str) {
-    let kind = |profile: &str| ["cpu", "gpu"].into_iter().find(|k| profile.split('/').next() == Some(k));
+    let kind = |profile: &str| {
+        ["cpu", "gpu"]
+            .into_iter()
+            .find(|k| profile.split('/').next() == Some(k))
+    };
     if let (Some(made), Some(judged)) = (kind(made), kind(judged))
         && made != judged
     {
@@ -54,12 +58,18 @@ pub fn open_backend(
     spec: CubeSpec,
 ) -> Result<(String, Arc<dyn Backend>), CliError> {
     let probe = |of| sightline_worker::Backends::probe(of, Default::default());
-    let mut backends = probe(if wanted == BackendChoice::Auto { Choice::Cpu } else { choice(wanted) });
+    let mut backends = probe(if wanted == BackendChoice::Auto {
+        Choice::Cpu
+    } else {
+        choice(wanted)
+    });
     if wanted == BackendChoice::Auto && backends.profiles().is_empty() {
         backends = probe(Choice::Auto);
     }
     say_missing(&backends)?;
     let profile = backends.profiles().into_iter().next().unwrap_or_default();
-    let backend = backends.open(&profile, Arc::clone(scene), spec).map_err(CliError::internal)?;
+    let backend = backends
+        .open(&profile, Arc::clone(scene), spec)
+        .map_err(CliError::internal)?;
     Ok((profile, backend))
 }

@@ -30,14 +30,24 @@ pub fn run(args: BakeArgs, json: bool) -> Result<(), CliError> {
         stop: &|| false,
         stopped: Box::pin(serve::stop_signal()),
     };
-    let outcome = bake(&args, &Source::File(args.scene.clone()), &output, &mut hooks);
+    let outcome = bake(
+        &args,
+        &Source::File(args.scene.clone()),
+        &output,
+        &mut hooks,
+    );
     drop(hooks);
     progress.end();
     report(&args, &outcome?, start.elapsed(), json)?;
     if !args.view {
         return Ok(());
     }
-    let BakeArgs { scene, output, kinds, .. } = args;
+    let BakeArgs {
+        scene,
+        output,
+        kinds,
+        ..
+    } = args;
     view::run(&ViewArgs::of(output, scene, kinds), json)
 }
 
@@ -58,7 +68,9 @@ fn report(args: &BakeArgs, outcome: &Outcome, took: Duration, json: bool) -> Res
         serve::print(&value.to_string())
     } else {
         let mut lines = summary.lines();
-        let peak = peak.map_or("not known here".to_owned(), |p| format!("{:.0} MB", p as f64 / 1e6));
+        let peak = peak.map_or("not known here".to_owned(), |p| {
+            format!("{:.0} MB", p as f64 / 1e6)
+        });
         lines.push(if outcome.from_store {
             format!(
                 "answered from the store in {}, where it was baked before with {} samples; peak memory \

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use sightline_coordinator::store::StoreError;
-use sightline_coordinator::{Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError};
+use sightline_coordinator::{
+    Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError,
+};
 use sightline_model::{BackendChoice, JobSpec, Method, Sampler};
 use sightline_portals::Partition;
 use sightline_proto::connecting::{Connection, Credentials};
@@ -77,27 +79,44 @@ pub fn bake(
         plural(scene.objects().len(), "object"),
         human(start.elapsed())
     ));
-    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
+    opening::scene_in_words(&scene)
+        .iter()
+        .for_each(|line| say(line));
     let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
     let has_doors = (0..scene.len()).any(|id| scene.kinds().kind(id) == Kind::Door);
-    if spec.method == Method::Portals || spec.has_portals() && has_doors && spec.time_budget_ms == 0 {
+    if spec.method == Method::Portals || spec.has_portals() && has_doors && spec.time_budget_ms == 0
+    {
         // The workers of this process find it made.
-        let partition = loaded.scene.partition(&spec, hooks.stop).map_err(|e| match (hooks.stop)() {
-            true => interrupted(),
-            false => CliError::internal(e),
-        })?;
+        let partition =
+            loaded
+                .scene
+                .partition(&spec, hooks.stop)
+                .map_err(|e| match (hooks.stop)() {
+                    true => interrupted(),
+                    false => CliError::internal(e),
+                })?;
         let lines = partition_in_words(&partition, &scene);
         lines.iter().for_each(|line| say(line));
     }
-    let traces = args.traces.start("sightline-bake", &serve::default_name()?)?;
+    let traces = args
+        .traces
+        .start("sightline-bake", &serve::default_name()?)?;
     let _sends_the_rest = traces.closing();
     let (coordinator, data_dir) = open_at(args.data_dir.as_deref())?;
     coordinator.send_traces(traces.clone());
     let runtime = serve::runtime()?;
     let kept = Arc::clone(&coordinator);
     let from = (args, source, &traces);
-    let outcome = runtime.block_on(run(from, coordinator, &loaded, &spec, probing, output, hooks));
+    let outcome = runtime.block_on(run(
+        from,
+        coordinator,
+        &loaded,
+        &spec,
+        probing,
+        output,
+        hooks,
+    ));
     // Running tiles are abandoned; waiting for them could take minutes.
     runtime.shutdown_timeout(Duration::from_millis(200));
     close(kept);
@@ -176,7 +195,11 @@ fn partition_in_words(partition: &Partition, scene: &Scene) -> Vec<String> {
     }];
     let doors = partition.doors();
     let is_door = |o: &&Object| o.count > 0 && scene.kinds().kind(o.first) == Kind::Door;
-    let names = scene.objects().iter().filter(is_door).map(|o| o.name.as_str());
+    let names = scene
+        .objects()
+        .iter()
+        .filter(is_door)
+        .map(|o| o.name.as_str());
     let useless: BTreeSet<&str> = names.filter(|name| !doors.contains(name)).collect();
     if !useless.is_empty() {
         lines.push(format!(
@@ -193,7 +216,9 @@ struct Probing(Option<std::thread::JoinHandle<Arc<Backends>>>);
 
 impl Probing {
     fn begin(choice: Choice) -> Self {
-        Self(Some(std::thread::spawn(move || Arc::new(Backends::probe(choice, Default::default())))))
+        Self(Some(std::thread::spawn(move || {
+            Arc::new(Backends::probe(choice, Default::default()))
+        })))
     }
 
     /// After the search, prepares the tracing of sight lines while the scene is stored and the job planned.
@@ -204,7 +229,9 @@ impl Probing {
         {
             let (loaded, spec) = (Arc::clone(loaded), CubeSpec::of(&spec.sampling));
             self.0 = Some(std::thread::spawn(move || {
-                let backends = probe.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                let backends = probe
+                    .join()
+                    .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
                 loaded.warm(&backends, spec);
                 backends
             }));
@@ -214,7 +241,11 @@ impl Probing {
 
     fn end(mut self) -> Result<Arc<Backends>, CliError> {
         let panicked = || CliError::Internal("looking for backends panicked".to_owned());
-        self.0.take().ok_or_else(panicked)?.join().map_err(|_| panicked())
+        self.0
+            .take()
+            .ok_or_else(panicked)?
+            .join()
+            .map_err(|_| panicked())
     }
 }
 
@@ -243,10 +274,17 @@ pub(crate) async fn on_loopback(
     let connections = Connections::new(ConnectionLimits::of_process().map_err(CliError::internal)?);
     let listener = Listener::bind(([127, 0, 0, 1], 0).into(), false, &connections);
     let listener = listener.await.map_err(CliError::internal)?;
-    let url = format!("http://{}", listener.local_addr().map_err(CliError::internal)?);
+    let url = format!(
+        "http://{}",
+        listener.local_addr().map_err(CliError::internal)?
+    );
     let coordinator = Arc::clone(coordinator);
-    let server =
-        tokio::spawn(sightline_coordinator::serve(coordinator, listener, None, std::future::pending()));
+    let server = tokio::spawn(sightline_coordinator::serve(
+        coordinator,
+        listener,
+        None,
+        std::future::pending(),
+    ));
     let client = JobsClient::new(client::connect(&url, &Credentials::default()).await?);
     Ok((url, server.abort_handle(), client))
 }
@@ -272,18 +310,28 @@ async fn run(
     traces::submitted(traces, &answer, begun, uploaded);
     let mut job = answer.job.take().unwrap_or_default();
     if job.state() == v1::JobState::Done && job.tiles_set_aside > 0 {
-        say(&format!("an earlier run set {} tiles aside: trying them again", job.tiles_set_aside));
+        say(&format!(
+            "an earlier run set {} tiles aside: trying them again",
+            job.tiles_set_aside
+        ));
         let request = v1::ShowRequest { job: job.id };
-        job = client.retry(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        job = client
+            .retry(request)
+            .await
+            .map_err(|s| CliError::status(&s))?
+            .into_inner();
     }
     let mut backends = None;
     if job.state() != v1::JobState::Done {
-        let mut probed =
-            tokio::task::spawn_blocking(move || probing.end()).await.map_err(CliError::internal)??;
+        let mut probed = tokio::task::spawn_blocking(move || probing.end())
+            .await
+            .map_err(CliError::internal)??;
         // An earlier run may have begun the job on a software rasteriser, before Embree was installed.
         if probed.skipped_software() && job.profile.starts_with("gpu/") {
             let again = Probing::begin(Choice::Auto);
-            probed = tokio::task::spawn_blocking(move || again.end()).await.map_err(CliError::internal)??;
+            probed = tokio::task::spawn_blocking(move || again.end())
+                .await
+                .map_err(CliError::internal)??;
         }
         let needs_backend = spec.backend != BackendChoice::None;
         if needs_backend {
@@ -295,7 +343,10 @@ async fn run(
                  starts over",
                 job.profile
             ));
-            client.cancel(v1::ShowRequest { job: job.id }).await.map_err(|s| CliError::status(&s))?;
+            client
+                .cancel(v1::ShowRequest { job: job.id })
+                .await
+                .map_err(|s| CliError::status(&s))?;
             answer = submit(&mut client, source, spec).await?;
             job = answer.job.take().unwrap_or_default();
         }
@@ -312,7 +363,10 @@ async fn run(
                 .into_inner();
         }
         if answer.existing {
-            say(&format!("going on: {} of {} tiles are done", job.tiles_done, job.tiles_total));
+            say(&format!(
+                "going on: {} of {} tiles are done",
+                job.tiles_done, job.tiles_total
+            ));
         }
         let count = args.workers.map_or_else(|| threads(None), usize::from);
         // The scene is in this process already.
@@ -346,14 +400,22 @@ async fn submit(
     source: &Source,
     spec: &JobSpec,
 ) -> Result<v1::SubmitResponse, CliError> {
-    let name = source.path().file_name().unwrap_or_default().to_string_lossy();
+    let name = source
+        .path()
+        .file_name()
+        .unwrap_or_default()
+        .to_string_lossy();
     let request = v1::SubmitRequest {
         request_id: client::fresh_request_id(),
         name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
         spec: Some(spec.to_proto()),
         ..v1::SubmitRequest::default()
     };
-    client.submit(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    client
+        .submit(request)
+        .await
+        .map(tonic::Response::into_inner)
+        .map_err(|s| CliError::status(&s))
 }
 
 /// The workers of this process.
@@ -416,7 +478,11 @@ impl Workers {
 }
 
 fn default_data_dir() -> Result<PathBuf, CliError> {
-    let from = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+    let from = |name: &str| {
+        std::env::var_os(name)
+            .filter(|v| !v.is_empty())
+            .map(PathBuf::from)
+    };
     from("XDG_CACHE_HOME")
         .or_else(|| from("HOME").map(|h| h.join(".cache")))
         .map(|d| d.join("sightline"))

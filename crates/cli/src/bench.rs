@@ -40,8 +40,19 @@ pub fn run(args: &BenchArgs, json: bool) -> Result<(), CliError> {
             stop();
         });
     };
-    let report = sightline_bench::run(&options(args), &Host { program, say: &say, on_stop: &on_stop })?;
-    print(&if json { report.document.to_string() } else { report.tables })
+    let report = sightline_bench::run(
+        &options(args),
+        &Host {
+            program,
+            say: &say,
+            on_stop: &on_stop,
+        },
+    )?;
+    print(&if json {
+        report.document.to_string()
+    } else {
+        report.tables
+    })
 }
 
 #[cfg(test)]
@@ -57,7 +68,8 @@ mod tests {
             for rung in sampler.rungs(Ladder::Full) {
                 let base = ["sightline", "bake", "a.glb", "-o", "a.pvs"].map(str::to_owned);
                 let line = base.into_iter().chain(rung.flags.clone());
-                crate::args::Cli::try_parse_from(line).unwrap_or_else(|e| panic!("{:?}: {e}", rung.flags));
+                crate::args::Cli::try_parse_from(line)
+                    .unwrap_or_else(|e| panic!("{:?}: {e}", rung.flags));
             }
         }
     }
@@ -71,14 +83,22 @@ mod tests {
         for rung in Sampler::CubesUniform.rungs(Ladder::Full) {
             let base = ["sightline", "bake", "a.glb", "-o", "a.pvs"].map(str::to_owned);
             let line = base.into_iter().chain(rung.flags);
-            let crate::args::Command::Bake(args) = crate::args::Cli::parse_from(line).command else {
+            let crate::args::Command::Bake(args) = crate::args::Cli::parse_from(line).command
+            else {
                 panic!("the line is a bake");
             };
-            let spec = args.job.spec(std::path::Path::new("a.glb"), &scene).unwrap();
+            let spec = args
+                .job
+                .spec(std::path::Path::new("a.glb"), &scene)
+                .unwrap();
             let spec = JobSpec::from_proto(&spec.to_proto(), None).unwrap();
             assert_eq!(spec.sampling.measure, ErrorMeasure::Uniform);
             let distance = spec.sampling.min_distance;
-            assert!(rung.parameter.ends_with(&format!(" {distance}")), "{} is {distance}", rung.parameter);
+            assert!(
+                rung.parameter.ends_with(&format!(" {distance}")),
+                "{} is {distance}",
+                rung.parameter
+            );
         }
     }
 

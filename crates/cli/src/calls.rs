@@ -67,7 +67,11 @@ fn stopped(watcher: &dyn Watcher) -> Pin<Box<dyn Future<Output = ()> + '_>> {
 /// The progress of a job.
 fn of_job(job: &v1::Job, pace: &mut Pace, workers_here: bool) -> Progress {
     let (done, total, what) = match job.cells_total {
-        0 => (u64::from(job.tiles_done + job.tiles_set_aside), u64::from(job.tiles_total), "tiles"),
+        0 => (
+            u64::from(job.tiles_done + job.tiles_set_aside),
+            u64::from(job.tiles_total),
+            "tiles",
+        ),
         total => (job.cells_done, total, "cells"),
     };
     let seconds_left = match pace.left(job, workers_here) {
@@ -75,7 +79,13 @@ fn of_job(job: &v1::Job, pace: &mut Pace, workers_here: bool) -> Progress {
         Left::Finishing => Some(0.0),
         Left::Paused | Left::NoWorkers | Left::NotKnown => None,
     };
-    Progress { done, total, what, state: showing::state(job), seconds_left }
+    Progress {
+        done,
+        total,
+        what,
+        state: showing::state(job),
+        seconds_left,
+    }
 }
 
 /// Arguments without a command.
@@ -89,13 +99,22 @@ struct Line<A: clap::Args> {
 /// Reads the arguments of a command: the flags, then those without a flag.
 fn read<A: clap::Args>(flags: &[OsString], others: &[&Path]) -> Result<A, CliError> {
     let others = others.iter().map(|path| path.as_os_str().to_owned());
-    let line = flags.iter().cloned().chain([OsString::from("--")]).chain(others);
-    Line::try_parse_from(line).map(|line| line.args).map_err(|e| {
-        let text = e.to_string();
-        let end = ["\n\nUsage:", "\n\nFor more information"].iter().filter_map(|t| text.find(t)).min();
-        let text = text[..end.unwrap_or(text.len())].trim_start_matches("error: ");
-        CliError::Usage(text.split_whitespace().collect::<Vec<_>>().join(" "))
-    })
+    let line = flags
+        .iter()
+        .cloned()
+        .chain([OsString::from("--")])
+        .chain(others);
+    Line::try_parse_from(line)
+        .map(|line| line.args)
+        .map_err(|e| {
+            let text = e.to_string();
+            let end = ["\n\nUsage:", "\n\nFor more information"]
+                .iter()
+                .filter_map(|t| text.find(t))
+                .min();
+            let text = text[..end.unwrap_or(text.len())].trim_start_matches("error: ");
+            CliError::Usage(text.split_whitespace().collect::<Vec<_>>().join(" "))
+        })
 }
 
 /// Bakes in this process, as `sightline bake`, into the file `output`.
@@ -111,7 +130,11 @@ pub fn bake(
     let mut flags = flags.to_vec();
     flags.extend(["--output".into(), output.as_os_str().to_owned()]);
     let args: BakeArgs = read(&flags, &[source.path()])?;
-    let input = if let Source::File(path) = source { Some(path.as_path()) } else { None };
+    let input = if let Source::File(path) = source {
+        Some(path.as_path())
+    } else {
+        None
+    };
     let output = Output::check(output, Format::Pvs, input)?;
     let mut pace = Pace::new();
     let mut hooks = baking::Hooks {
@@ -175,13 +198,23 @@ struct Counter<'a> {
 
 impl<'a> Counter<'a> {
     fn new(what: &'static str, watcher: &'a dyn Watcher) -> Self {
-        Self { what, start: std::time::Instant::now(), watcher }
+        Self {
+            what,
+            start: std::time::Instant::now(),
+            watcher,
+        }
     }
 
     fn tell(&self, done: u64, total: u64) {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = (done > 0).then(|| seconds / done as f64 * total.saturating_sub(done) as f64);
-        let progress = Progress { done, total, what: self.what, state: "running", seconds_left: left };
+        let progress = Progress {
+            done,
+            total,
+            what: self.what,
+            state: "running",
+            seconds_left: left,
+        };
         self.watcher.progress(progress);
     }
 }
@@ -229,7 +262,10 @@ impl Client {
         let answer = with_until(&args.remote, stopped(watcher), |client| {
             submitting::submitted(client, &scene, request, &traces)
         })?;
-        Ok((showing::value(&answer.job.unwrap_or_default()), answer.existing))
+        Ok((
+            showing::value(&answer.job.unwrap_or_default()),
+            answer.existing,
+        ))
     }
 
     /// The newest jobs, ascending by id.
@@ -238,7 +274,9 @@ impl Client {
     /// [`CliError`].
     pub fn jobs(&self, flags: &[OsString], watcher: &dyn Watcher) -> Result<Vec<Value>, CliError> {
         let args: JobsArgs = self.read(flags, &[])?;
-        let found = with_until(&args.remote, stopped(watcher), |client| remote::listed(client, &args))?;
+        let found = with_until(&args.remote, stopped(watcher), |client| {
+            remote::listed(client, &args)
+        })?;
         Ok(found.0.iter().map(showing::value).collect())
     }
 
@@ -248,7 +286,9 @@ impl Client {
     /// [`CliError`].
     pub fn show(&self, job: u64, watcher: &dyn Watcher) -> Result<Value, CliError> {
         let args = self.of_job(job)?;
-        let shown = with_until(&args.remote, stopped(watcher), |client| remote::shown(client, job))?;
+        let shown = with_until(&args.remote, stopped(watcher), |client| {
+            remote::shown(client, job)
+        })?;
         Ok(showing::value(&shown))
     }
 
@@ -274,7 +314,9 @@ impl Client {
     /// [`CliError`].
     pub fn turn(&self, job: u64, turn: Turn, watcher: &dyn Watcher) -> Result<Value, CliError> {
         let args = self.of_job(job)?;
-        let turned = with_until(&args.remote, stopped(watcher), |client| remote::turned(client, job, turn))?;
+        let turned = with_until(&args.remote, stopped(watcher), |client| {
+            remote::turned(client, job, turn)
+        })?;
         Ok(showing::value(&turned))
     }
 
@@ -282,12 +324,21 @@ impl Client {
     ///
     /// # Errors
     /// [`CliError`].
-    pub fn prioritize(&self, job: u64, priority: i32, watcher: &dyn Watcher) -> Result<Value, CliError> {
+    pub fn prioritize(
+        &self,
+        job: u64,
+        priority: i32,
+        watcher: &dyn Watcher,
+    ) -> Result<Value, CliError> {
         let words = [job.to_string(), priority.to_string()];
         let args: PriorityArgs = self.read(&[], &words.each_ref().map(Path::new))?;
-        let request = v1::PrioritizeRequest { job, priority: args.priority };
-        let shown =
-            with_until(&args.job.remote, stopped(watcher), |client| remote::prioritized(client, request))?;
+        let request = v1::PrioritizeRequest {
+            job,
+            priority: args.priority,
+        };
+        let shown = with_until(&args.job.remote, stopped(watcher), |client| {
+            remote::prioritized(client, request)
+        })?;
         Ok(showing::value(&shown))
     }
 
@@ -299,6 +350,8 @@ impl Client {
         let flags = ["--output".into(), output.as_os_str().to_owned()];
         let args: FetchArgs = self.read(&flags, &[job.to_string().as_ref()])?;
         let output = Output::check(output, Format::Pvs, None)?;
-        with_until(&args.job.remote, stopped(watcher), |client| remote::fetched(client, job, false, &output))
+        with_until(&args.job.remote, stopped(watcher), |client| {
+            remote::fetched(client, job, false, &output)
+        })
     }
 }

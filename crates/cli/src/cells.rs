@@ -27,12 +27,22 @@ pub struct Bounds {
 
 /// The columns of a result by name.
 fn columns(pvs: &Pvs) -> Result<BTreeMap<String, Vec<u64>>, CliError> {
-    Ok(pvs.columns()?.into_iter().map(|c| (c.name, c.values)).collect())
+    Ok(pvs
+        .columns()?
+        .into_iter()
+        .map(|c| (c.name, c.values))
+        .collect())
 }
 
 /// A cell's bound on the fraction of sight lines it misses, with confidence 95 %.
 fn bound(columns: &BTreeMap<String, Vec<u64>>, of: [&str; 3], cell: usize) -> Option<f64> {
-    let at = |name: &str| columns.get(name).and_then(|c| c.get(cell)).copied().unwrap_or(0);
+    let at = |name: &str| {
+        columns
+            .get(name)
+            .and_then(|c| c.get(cell))
+            .copied()
+            .unwrap_or(0)
+    };
     let [lines, misses, look] = of.map(at);
     let look = u32::try_from(look).unwrap_or(u32::MAX);
     (lines > 0).then(|| upper_bound(misses, lines, alpha_of(look)))
@@ -74,8 +84,16 @@ pub struct Decided {
 /// [`CliError::Input`] when the result cannot be read.
 pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
     let columns = columns(pvs)?;
-    let sum = |name: &str| columns.get(name).map_or(0, |c| c.iter().fold(0u64, |a, b| a.saturating_add(*b)));
-    let reasons = ["undecided_regions", "undecided_memory", "undecided_halvings"];
+    let sum = |name: &str| {
+        columns
+            .get(name)
+            .map_or(0, |c| c.iter().fold(0u64, |a, b| a.saturating_add(*b)))
+    };
+    let reasons = [
+        "undecided_regions",
+        "undecided_memory",
+        "undecided_halvings",
+    ];
     let (mut open, mut evidence_bytes) = (0, 0);
     for cell in 0..pvs.cells() {
         open += usize::from(pvs.undecided_count(cell)? > 0);
@@ -103,7 +121,11 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, CliError> {
 /// [`CliError::Input`] when the result cannot be read.
 pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], CliError> {
     let columns = columns(pvs)?;
-    let count = |name| columns.get(name).map_or(0, |c| c.iter().filter(|n| **n != 0).count());
+    let count = |name| {
+        columns
+            .get(name)
+            .map_or(0, |c| c.iter().filter(|n| **n != 0).count())
+    };
     Ok(["unfinished", "spared"].map(count))
 }
 
@@ -126,7 +148,9 @@ pub fn pair_bounds(pvs: &Pvs) -> Result<Option<Bounds>, CliError> {
 
 fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, CliError> {
     let columns = columns(pvs)?;
-    let all: Vec<f64> = (0..pvs.cells() as usize).filter_map(|c| bound(&columns, of, c)).collect();
+    let all: Vec<f64> = (0..pvs.cells() as usize)
+        .filter_map(|c| bound(&columns, of, c))
+        .collect();
     let sum: f64 = all.iter().sum();
     Ok((!all.is_empty()).then(|| Bounds {
         cells: all.len(),
@@ -141,10 +165,18 @@ fn bounds_of(pvs: &Pvs, of: [&str; 3]) -> Result<Option<Bounds>, CliError> {
 /// [`CliError::Input`] when the result cannot be read.
 pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
     let columns = columns(pvs)?;
-    let rays = ["rays_uniform", "rays_flood", "rays_candidate", "rays_check", "exact_rays"];
+    let rays = [
+        "rays_uniform",
+        "rays_flood",
+        "rays_candidate",
+        "rays_check",
+        "exact_rays",
+    ];
     let at = |name: &str, cell: u32| columns.get(name).map_or(0, |c| c[cell as usize]);
     Ok(vec![
-        each(pvs, "rays", |_, cell| Ok(rays.iter().map(|name| at(name, cell) as f32).sum()))?,
+        each(pvs, "rays", |_, cell| {
+            Ok(rays.iter().map(|name| at(name, cell) as f32).sum())
+        })?,
         each(pvs, "bound on missed sight lines", |_, cell| {
             Ok(bound(&columns, OF_TRIANGLES, cell as usize).map_or(f32::NAN, |bound| bound as f32))
         })?,
@@ -157,7 +189,9 @@ pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, CliError> {
 /// [`CliError::Input`] when the result cannot be read.
 pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, CliError> {
     let columns = columns(pvs)?;
-    Ok((0..pvs.cells() as usize).map(|cell| bound(&columns, OF_TRIANGLES, cell)).collect())
+    Ok((0..pvs.cells() as usize)
+        .map(|cell| bound(&columns, OF_TRIANGLES, cell))
+        .collect())
 }
 
 /// A JSON array with one object per cell.
@@ -169,7 +203,8 @@ pub fn json(pvs: &Pvs) -> Result<Value, CliError> {
     let mut cells = Vec::new();
     for cell in 0..pvs.cells() {
         let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-        let mut line = json!({"cell": cell, "min": min, "max": max, "visible": pvs.visible_count(cell)?});
+        let mut line =
+            json!({"cell": cell, "min": min, "max": max, "visible": pvs.visible_count(cell)?});
         for (name, values) in &columns {
             line[name] = values[cell as usize].into();
         }
@@ -192,11 +227,28 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
     let column = |name: &str| columns.get(name).unwrap_or(&none);
     let at = |name: &str, cell: usize| column(name).get(cell).copied().unwrap_or(0);
     if columns.is_empty() {
-        return Ok(vec!["this result keeps no statistics of its cells".to_owned()]);
+        return Ok(vec![
+            "this result keeps no statistics of its cells".to_owned(),
+        ]);
     }
-    let kinds = ["rays_uniform", "rays_flood", "rays_candidate", "rays_check", "samples"];
-    let finds = ["finds_uniform", "finds_flood", "finds_candidate", "finds_check"];
-    let cost = |cell: usize| kinds.iter().fold(0u64, |sum, k| sum.saturating_add(at(k, cell)));
+    let kinds = [
+        "rays_uniform",
+        "rays_flood",
+        "rays_candidate",
+        "rays_check",
+        "samples",
+    ];
+    let finds = [
+        "finds_uniform",
+        "finds_flood",
+        "finds_candidate",
+        "finds_check",
+    ];
+    let cost = |cell: usize| {
+        kinds
+            .iter()
+            .fold(0u64, |sum, k| sum.saturating_add(at(k, cell)))
+    };
     let mut order: Vec<usize> = (0..pvs.cells() as usize).collect();
     order.sort_by_key(|c| (std::cmp::Reverse(cost(*c)), *c));
     let exact = pvs.method() != "aggressive";
@@ -206,22 +258,38 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
          fraction of the last round's uniform rays that met a triangle outside the set before that round; \
          bound: on the fraction still missed, at 95 %; *: not finished; ~: finished with a tolerance above \
          the target error",
-        if exact { " in sampling, which came first" } else { "" }
+        if exact {
+            " in sampling, which came first"
+        } else {
+            ""
+        }
     )];
-    let mut rows =
-        vec![["cell", "visible", "rounds", "cubes", "rays", "finds", "missed", "bound"].map(str::to_owned)];
+    let mut rows = vec![
+        [
+            "cell", "visible", "rounds", "cubes", "rays", "finds", "missed", "bound",
+        ]
+        .map(str::to_owned),
+    ];
     for cell in order.iter().copied().take(SHOWN) {
         let visible = pvs.visible_count(cell as u32)?;
-        let list =
-            |names: &[&str]| names.iter().map(|n| at(n, cell).to_string()).collect::<Vec<_>>().join("/");
+        let list = |names: &[&str]| {
+            names
+                .iter()
+                .map(|n| at(n, cell).to_string())
+                .collect::<Vec<_>>()
+                .join("/")
+        };
         let rays = at("last_rays", cell);
         let missed = if rays > 0 {
-            format!("{:.4} %", at("last_misses", cell) as f64 / rays as f64 * 100.0)
+            format!(
+                "{:.4} %",
+                at("last_misses", cell) as f64 / rays as f64 * 100.0
+            )
         } else {
             "-".to_owned()
         };
-        let bound =
-            bound(&columns, OF_TRIANGLES, cell).map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
+        let bound = bound(&columns, OF_TRIANGLES, cell)
+            .map_or("-".to_owned(), |b| format!("{:.4} %", b * 100.0));
         let mark = match (at("unfinished", cell), at("spared", cell)) {
             (1.., _) => " *",
             (_, 1..) => " ~",
@@ -245,7 +313,10 @@ pub fn table(pvs: &Pvs) -> Result<Vec<String>, CliError> {
         lines.push(format!("  {cell}: {min:?} to {max:?}"));
     }
     if order.len() > SHOWN {
-        lines.push(format!("… and {} cells that took fewer rays; --json lists all", order.len() - SHOWN));
+        lines.push(format!(
+            "… and {} cells that took fewer rays; --json lists all",
+            order.len() - SHOWN
+        ));
     }
     if exact {
         lines.extend(exact_table(pvs, &at)?);
@@ -265,8 +336,17 @@ fn exact_table(pvs: &Pvs, at: &dyn Fn(&str, usize) -> u64) -> Result<Vec<String>
             .to_owned(),
     ];
     let mut rows = vec![
-        ["cell", "undecided", "hidden", "group", "surfaces", "missed", "queries", "regions"]
-            .map(str::to_owned),
+        [
+            "cell",
+            "undecided",
+            "hidden",
+            "group",
+            "surfaces",
+            "missed",
+            "queries",
+            "regions",
+        ]
+        .map(str::to_owned),
     ];
     for cell in order.iter().copied().take(SHOWN) {
         let undecided = pvs.undecided_count(cell as u32)?;
@@ -299,7 +379,11 @@ fn aligned<const N: usize>(rows: &[[String; N]]) -> Vec<String> {
     let width = |k: usize| rows.iter().map(|r| r[k].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);
     let line = |row: &[String; N]| {
-        let cells: Vec<String> = row.iter().zip(widths).map(|(c, w)| format!("{c:>w$}")).collect();
+        let cells: Vec<String> = row
+            .iter()
+            .zip(widths)
+            .map(|(c, w)| format!("{c:>w$}"))
+            .collect();
         format!("  {}", cells.join("  "))
     };
     rows.iter().map(line).collect()

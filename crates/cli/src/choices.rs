@@ -6,6 +6,8 @@ use sightline_model::Choice;
 
 /// A parser of the names of a choice.
 pub fn choice<C: Choice>() -> impl TypedValueParser<Value = C> {
-    let values = C::ALL.iter().map(|c| PossibleValue::new(c.name()).help(c.about()));
+    let values = C::ALL
+        .iter()
+        .map(|c| PossibleValue::new(c.name()).help(c.about()));
     PossibleValuesParser::new(values).try_map(|name| C::from_name(&name))
 }

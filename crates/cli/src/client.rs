@@ -59,16 +59,25 @@ pub async fn connect(url: &str, credentials: &Credentials) -> Result<Connection,
 fn causes(error: &dyn std::error::Error) -> String {
     let all = std::iter::successors(error.source(), |cause| cause.source());
     let texts: Vec<String> = all.map(ToString::to_string).collect();
-    if texts.is_empty() { error.to_string() } else { texts.join(": ") }
+    if texts.is_empty() {
+        error.to_string()
+    } else {
+        texts.join(": ")
+    }
 }
 
 /// Uploads a scene, unless the coordinator has it.
 pub async fn upload(client: &mut JobsClient<Connection>, scene: &Scene) -> Result<(), CliError> {
     let blob = Blob::of(scene.to_blob());
-    let put = v1::PutSceneRequest { chunks: blob.chunks.clone(), digest: blob.digest.clone() };
+    let put = v1::PutSceneRequest {
+        chunks: blob.chunks.clone(),
+        digest: blob.digest.clone(),
+    };
     let calls = client.clone();
     let put = async || calls.clone().put_scene(put.clone()).await.map(drop);
-    blob.upload(client, put).await.map_err(|s| CliError::status(&s))
+    blob.upload(client, put)
+        .await
+        .map_err(|s| CliError::status(&s))
 }
 
 /// Bytes that are uploaded in chunks.
@@ -84,8 +93,15 @@ impl Blob {
     /// These bytes.
     pub fn of(bytes: Vec<u8>) -> Self {
         let digest = |part: &[u8]| blake3::hash(part).as_bytes().to_vec();
-        let (whole, chunks) = (digest(&bytes), bytes.chunks(CHUNK_BYTES).map(digest).collect());
-        Self { bytes: Arc::new(bytes), digest: whole, chunks }
+        let (whole, chunks) = (
+            digest(&bytes),
+            bytes.chunks(CHUNK_BYTES).map(digest).collect(),
+        );
+        Self {
+            bytes: Arc::new(bytes),
+            digest: whole,
+            chunks,
+        }
     }
 
     /// Uploads the chunks that the coordinator lacks, until `put` has joined them.
@@ -101,12 +117,15 @@ impl Blob {
         }
         // Another client who sends the same at the same time may take the chunks away once.
         for is_last in [false, true] {
-            let request = v1::MissingChunksRequest { digests: self.chunks.clone() };
+            let request = v1::MissingChunksRequest {
+                digests: self.chunks.clone(),
+            };
             let missing = client.missing_chunks(request).await?.into_inner().digests;
             let missing: BTreeSet<Vec<u8>> = missing.into_iter().collect();
             // Each chunk is copied when it is sent.
-            let needed: Vec<usize> =
-                (0..self.chunks.len()).filter(|i| missing.contains(&self.chunks[*i])).collect();
+            let needed: Vec<usize> = (0..self.chunks.len())
+                .filter(|i| missing.contains(&self.chunks[*i]))
+                .collect();
             let bytes = Arc::clone(&self.bytes);
             let chunks = needed.into_iter().map(move |i| {
                 let start = i * CHUNK_BYTES;
@@ -132,7 +151,9 @@ impl Blob {
 /// A new request id. It makes one submission safe to repeat; the coordinator recognises the same job of
 /// another submission by the job's key.
 pub fn fresh_request_id() -> String {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |d| d.as_nanos());
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0, |d| d.as_nanos());
     format!("cli-{}-{now:x}", std::process::id())
 }
 
@@ -160,8 +181,12 @@ pub async fn follow(
     job: u64,
     show: &mut dyn FnMut(&v1::Job),
 ) -> Result<v1::Job, CliError> {
-    let ended = follow_once(client, job, show).await.map_err(|s| CliError::status(&s))?;
-    ended.ok_or_else(|| CliError::Coordinator("the coordinator ended the stream before the job".to_owned()))
+    let ended = follow_once(client, job, show)
+        .await
+        .map_err(|s| CliError::status(&s))?;
+    ended.ok_or_else(|| {
+        CliError::Coordinator("the coordinator ended the stream before the job".to_owned())
+    })
 }
 
 /// Follows a job until it ends, however often the coordinator restarts meanwhile.
@@ -207,7 +232,10 @@ fn is_lost(s: &tonic::Status) -> bool {
 pub fn must_be_done(job: &v1::Job) -> Result<(), CliError> {
     match job.state() {
         v1::JobState::Done => Ok(()),
-        v1::JobState::Failed => Err(CliError::Job(format!("job {} failed: {}", job.id, job.reason))),
+        v1::JobState::Failed => Err(CliError::Job(format!(
+            "job {} failed: {}",
+            job.id, job.reason
+        ))),
         v1::JobState::Cancelled => Err(CliError::Job(format!(
             "job {} was cancelled; `sightline retry {}` continues it",
             job.id, job.id
@@ -226,12 +254,17 @@ pub async fn fetch_partial(
     output: &Output,
 ) -> Result<u64, CliError> {
     let request = v1::ShowRequest { job: job.id };
-    let mut stream = client.fetch_partial(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let mut stream = client
+        .fetch_partial(request)
+        .await
+        .map_err(|s| CliError::status(&s))?
+        .into_inner();
     let (mut part, mut sequence) = (output.begin()?, Sequence::new(MAX_RESULT));
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(|s| CliError::status(&s))?;
         sequence.next(&chunk).map_err(CliError::internal)?;
-        part.write_all(&chunk.data).map_err(|e| CliError::writing(output.path(), &e))?;
+        part.write_all(&chunk.data)
+            .map_err(|e| CliError::writing(output.path(), &e))?;
     }
     let bytes = sequence.end().map_err(CliError::internal)?;
     part.place()?;
@@ -251,7 +284,10 @@ pub async fn fetch(
 ) -> Result<u64, CliError> {
     // Written as it arrives: a result with certificates may exceed memory.
     let mut part = output.begin()?;
-    let write = |data: &[u8]| part.write_all(data).map_err(|e| CliError::writing(output.path(), &e));
+    let write = |data: &[u8]| {
+        part.write_all(data)
+            .map_err(|e| CliError::writing(output.path(), &e))
+    };
     let bytes = fetch_to(client, job, write).await?;
     part.place()?;
     Ok(bytes)
@@ -264,7 +300,11 @@ pub async fn fetch_to(
     mut take: impl FnMut(&[u8]) -> Result<(), CliError>,
 ) -> Result<u64, CliError> {
     let request = v1::ShowRequest { job: job.id };
-    let mut stream = client.fetch(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let mut stream = client
+        .fetch(request)
+        .await
+        .map_err(|s| CliError::status(&s))?
+        .into_inner();
     let (mut sequence, mut hasher) = (Sequence::new(MAX_RESULT), blake3::Hasher::new());
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(|s| CliError::status(&s))?;

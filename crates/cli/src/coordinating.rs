@@ -23,30 +23,41 @@ use crate::store_place::StorePlace;
 pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
     let tls = encryption(args)?;
     let certified = tls.as_ref().is_some_and(|tls| tls.checks_workers());
-    let access = (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
-    let access = access.transpose().map_err(|e| CliError::Input(e.to_string()))?.map(Arc::new);
+    let access =
+        (args.tokens.is_some() || certified).then(|| Access::new(args.tokens.clone(), certified));
+    let access = access
+        .transpose()
+        .map_err(|e| CliError::Input(e.to_string()))?
+        .map(Arc::new);
     let mut config = Config {
         blobs: blob_place(args.blobs.as_deref(), args.allow_plaintext)?,
         ..Config::new(args.data_dir.clone())
     };
     config.leases.spot_check = args.spot_check;
     (config.retention.keep, config.retention.keep_bytes) = (args.keep, args.keep_bytes);
-    config.quotas = Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
-    let traces = args.traces.start("sightline-coordinator", &default_name()?)?;
+    config.quotas =
+        Quotas::parse(&args.quota).map_err(|e| CliError::Usage(format!("--quota: {e}")))?;
+    let traces = args
+        .traces
+        .start("sightline-coordinator", &default_name()?)?;
     let _sends_the_rest = traces.closing();
     let coordinator = match StorePlace::of(&args.store)? {
         StorePlace::Database(database) => {
             return runtime()?.block_on(async {
                 reload_on_hangup(tls.clone())?;
                 let listening = listen(args, tls.is_some()).await?;
-                replica::serve(args, (*database, config), tls, listening, move |c| equip(c, access, traces))
-                    .await
+                replica::serve(args, (*database, config), tls, listening, move |c| {
+                    equip(c, access, traces)
+                })
+                .await
             });
         }
         StorePlace::Default => Coordinator::open(config),
         StorePlace::Sled(directory) => open_on(config, &directory),
         StorePlace::Memory => {
-            say("the store is in memory: jobs, scenes and results are lost when this coordinator ends");
+            say(
+                "the store is in memory: jobs, scenes and results are lost when this coordinator ends",
+            );
             let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
             Coordinator::new(config.leases, store, blobs, Box::new(SystemClock))
         }
@@ -57,7 +68,12 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         reload_on_hangup(tls.clone())?;
         let listening = listen(args, tls.is_some()).await?;
         listening.announce()?;
-        let Listening { calls: listener, pages, metrics, .. } = listening;
+        let Listening {
+            calls: listener,
+            pages,
+            metrics,
+            ..
+        } = listening;
         let c = Arc::clone(&coordinator);
         let served = sightline_coordinator::serve(c, listener, tls.clone(), stop_signal());
         let c = Arc::clone(&coordinator);
@@ -69,7 +85,9 @@ pub fn coordinator(args: &CoordinatorArgs) -> Result<(), CliError> {
         };
         let counted = async move {
             match metrics {
-                Some((listener, _)) => sightline_coordinator::serve_probes(coordinator, listener).await,
+                Some((listener, _)) => {
+                    sightline_coordinator::serve_probes(coordinator, listener).await
+                }
                 None => std::future::pending().await,
             }
         };
@@ -113,8 +131,10 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
         say("tokens go over the network unencrypted; --tls-cert and --tls-key encrypt them");
     }
     if (!address.ip().is_loopback() || pages_beyond) && args.tokens.is_none() {
-        say("whoever reaches this address may read, submit and cancel everything; --tokens asks who \
-             they are");
+        say(
+            "whoever reaches this address may read, submit and cancel everything; --tokens asks who \
+             they are",
+        );
     }
     let pages = match args.http {
         None => None,
@@ -135,16 +155,26 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
             Some((metrics, format!("http://{address}/metrics")))
         }
     };
-    Ok(Listening { calls, url, pages, metrics })
+    Ok(Listening {
+        calls,
+        url,
+        pages,
+        metrics,
+    })
 }
 
 /// The place of blobs that a text names.
 ///
 /// # Errors
 /// [`CliError::Usage`].
-pub fn blob_place(text: Option<&str>, allow_plaintext: bool) -> Result<Option<BlobPlace>, CliError> {
+pub fn blob_place(
+    text: Option<&str>,
+    allow_plaintext: bool,
+) -> Result<Option<BlobPlace>, CliError> {
     let Some(text) = text else { return Ok(None) };
-    let mut place = text.parse().map_err(|e: PlaceError| CliError::Usage(format!("--blobs: {e}")))?;
+    let mut place = text
+        .parse()
+        .map_err(|e: PlaceError| CliError::Usage(format!("--blobs: {e}")))?;
     if let BlobPlace::Bucket(bucket) = &mut place {
         bucket.allow_plaintext = allow_plaintext;
     }
@@ -153,10 +183,17 @@ pub fn blob_place(text: Option<&str>, allow_plaintext: bool) -> Result<Option<Bl
 
 /// The encryption that the arguments ask for.
 fn encryption(args: &CoordinatorArgs) -> Result<Option<Arc<Tls>>, CliError> {
-    let (Some(certificate), Some(key)) = (&args.tls_cert, &args.tls_key) else { return Ok(None) };
+    let (Some(certificate), Some(key)) = (&args.tls_cert, &args.tls_key) else {
+        return Ok(None);
+    };
     let (certificate, key) = (certificate.clone(), key.clone());
-    let tls = Tls::open(TlsFiles { certificate, key, client_ca: args.client_ca.clone() });
-    tls.map(|tls| Some(Arc::new(tls))).map_err(|e| CliError::Input(e.to_string()))
+    let tls = Tls::open(TlsFiles {
+        certificate,
+        key,
+        client_ca: args.client_ca.clone(),
+    });
+    tls.map(|tls| Some(Arc::new(tls)))
+        .map_err(|e| CliError::Input(e.to_string()))
 }
 
 /// Reads the certificates again at each SIGHUP from now on. Ones that cannot be used change nothing, and
@@ -175,7 +212,9 @@ fn reload_on_hangup(tls: Option<Arc<Tls>>) -> Result<(), CliError> {
                 };
                 match tokio::task::spawn_blocking(move || tls.reload()).await {
                     Ok(Ok(())) => tracing::info!("read the certificates again"),
-                    Ok(Err(e)) => tracing::error!("{e}; the certificates that were read before stay in use"),
+                    Ok(Err(e)) => {
+                        tracing::error!("{e}; the certificates that were read before stay in use")
+                    }
                     Err(e) => tracing::error!("the certificates were not read again: {e}"),
                 }
             }

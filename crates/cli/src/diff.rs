@@ -46,7 +46,10 @@ struct Runs(Vec<u32>);
 impl Runs {
     /// Returns the number of items.
     fn count(&self) -> usize {
-        self.0.chunks_exact(2).map(|run| (run[1] - run[0]) as usize).sum()
+        self.0
+            .chunks_exact(2)
+            .map(|run| (run[1] - run[0]) as usize)
+            .sum()
     }
 
     fn is_empty(&self) -> bool {
@@ -75,12 +78,18 @@ enum Items {
     /// Triangles by number: both results are of one scene, or of scenes with the same objects.
     Triangles,
     /// Objects by name: for each object of the older result the number of its name, and of the newer one.
-    Objects { names: Vec<String>, of: [Vec<u32>; 2] },
+    Objects {
+        names: Vec<String>,
+        of: [Vec<u32>; 2],
+    },
 }
 
 /// Compares two results.
 pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
-    let output = args.output.as_ref().map(|path| Output::check(path, Format::Html, Some(&args.newer)));
+    let output = args
+        .output
+        .as_ref()
+        .map(|path| Output::check(path, Format::Html, Some(&args.newer)));
     let output = output.transpose()?;
     let results = [open(&args.older)?, open(&args.newer)?];
     let [older, newer] = &results;
@@ -88,15 +97,22 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
     let items = items(args, older, newer)?;
     let changes = changes(&results, &items)?;
     let reached = changes.len();
-    let mean = |of: &dyn Fn(&Change) -> f64| changes.iter().map(of).sum::<f64>() / reached.max(1) as f64;
+    let mean =
+        |of: &dyn Fn(&Change) -> f64| changes.iter().map(of).sum::<f64>() / reached.max(1) as f64;
     let fraction = mean(&|c| c.fraction);
     let has_shares = changes.iter().all(|c| c.shares.is_some()) && reached > 0;
     let share = has_shares.then(|| mean(&|c| c.shares.map_or(0.0, |[came, went]| came + went)));
-    let changed: Vec<&Change> = changes.iter().filter(|c| !c.came.is_empty() || !c.went.is_empty()).collect();
+    let changed: Vec<&Change> = changes
+        .iter()
+        .filter(|c| !c.came.is_empty() || !c.went.is_empty())
+        .collect();
     let mut worst = changed.clone();
     let weight = |c: &Change| c.shares.map_or(c.fraction, |[came, went]| came + went);
     worst.sort_by(|a, b| weight(b).total_cmp(&weight(a)).then(a.cell.cmp(&b.cell)));
-    let beyond = changes.iter().filter(|c| c.is_beyond_noise == Some(true)).count();
+    let beyond = changes
+        .iter()
+        .filter(|c| c.is_beyond_noise == Some(true))
+        .count();
     let is_bounded = changes.iter().any(|c| c.is_beyond_noise.is_some());
     let objects = objects(&results, &items, &changed);
     let total = |of: &dyn Fn(&Change) -> usize| changed.iter().map(|c| of(c)).sum::<usize>();
@@ -106,8 +122,15 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
         Items::Objects { .. } => "objects",
     };
     if let Some(output) = &output {
-        let scene = args.scene.as_ref().map(|path| scene_of(path, &args.kinds, newer, &args.newer));
-        let of = |c: &&Change| CellChange { cell: c.cell, came: c.came.count(), went: c.went.count() };
+        let scene = args
+            .scene
+            .as_ref()
+            .map(|path| scene_of(path, &args.kinds, newer, &args.newer));
+        let of = |c: &&Change| CellChange {
+            cell: c.cell,
+            came: c.came.count(),
+            went: c.went.count(),
+        };
         let cells: Vec<CellChange> = changed.iter().map(of).collect();
         let about = format!(
             "{} of {} changed: {came} {what} came and {went} went",
@@ -115,7 +138,13 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             plural(reached, "cell")
         );
         let of = (newer, scene.transpose()?);
-        diff_page::write(output, [&args.older, &args.newer], (of.0, of.1.as_ref()), &cells, &about)?;
+        diff_page::write(
+            output,
+            [&args.older, &args.newer],
+            (of.0, of.1.as_ref()),
+            &cells,
+            &about,
+        )?;
         say(&format!("wrote {}", output.path().display()));
     }
     if json {
@@ -154,7 +183,10 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             changed.len(),
             plural(reached, "cell"),
             100.0 * fraction,
-            share.map_or(String::new(), |s| format!(", {:.3} % of the view", 100.0 * s)),
+            share.map_or(String::new(), |s| format!(
+                ", {:.3} % of the view",
+                100.0 * s
+            )),
         ));
         line(match is_bounded {
             true => format!("beyond what sampling may miss: {}", plural(beyond, "cell")),
@@ -192,7 +224,11 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
             args.markdown,
             ["object", "came in cells", "went in cells"],
             &mut objects.iter().map(|(name, [came, went])| {
-                [printable::name(name).into_owned(), came.to_string(), went.to_string()]
+                [
+                    printable::name(name).into_owned(),
+                    came.to_string(),
+                    went.to_string(),
+                ]
             }),
         );
         print(out.trim_end())?;
@@ -223,7 +259,10 @@ fn same_cells(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<(), CliError>
 /// How the items of both results are compared.
 fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, CliError> {
     let ranges = |pvs: &Pvs| -> Vec<(String, u32, u32)> {
-        pvs.objects().iter().map(|o| (o.name.clone(), o.first, o.count)).collect()
+        pvs.objects()
+            .iter()
+            .map(|o| (o.name.clone(), o.first, o.count))
+            .collect()
     };
     if !args.objects && ranges(older) == ranges(newer) {
         return Ok(Items::Triangles);
@@ -241,7 +280,8 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, CliError> {
     };
     let names: Vec<String> = numbered(older)?.union(&numbered(newer)?).cloned().collect();
     let of = [older, newer].map(|pvs| {
-        let number = |o: &sightline_pvs::Object| names.binary_search(&o.name).map_or(0, |n| n as u32);
+        let number =
+            |o: &sightline_pvs::Object| names.binary_search(&o.name).map_or(0, |n| n as u32);
         pvs.objects().iter().map(number).collect()
     });
     Ok(Items::Objects { names, of })
@@ -249,7 +289,10 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, CliError> {
 
 /// The changes of all cells with viewpoints in either result, in their order.
 fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
-    let bounds = [cells::bounds_of_cells(&results[0])?, cells::bounds_of_cells(&results[1])?];
+    let bounds = [
+        cells::bounds_of_cells(&results[0])?,
+        cells::bounds_of_cells(&results[1])?,
+    ];
     let mut all = Vec::new();
     for cell in 0..results[0].cells() {
         if !results[0].is_reached(cell)? && !results[1].is_reached(cell)? {
@@ -262,20 +305,35 @@ fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, CliError> {
         let union = a.count() + came.count();
         let both = |came: &Runs, went: &Runs| -> Result<Option<[f64; 2]>, CliError> {
             let came = share(&results[1], items, cell, came)?;
-            Ok(came.zip(share(&results[0], items, cell, went)?).map(|(came, went)| [came, went]))
+            Ok(came
+                .zip(share(&results[0], items, cell, went)?)
+                .map(|(came, went)| [came, went]))
         };
         let shares = both(&came, &went)?;
         // What is undecided may be there or not in any case.
         let certain = both(&came.without(&newer_open), &went.without(&older_open))?;
         // The older result may miss what came, and the newer one what went.
-        let may_miss =
-            [0, 1].map(|k| if misses_nothing(&results[k]) { Some(0.0) } else { bounds[k][cell as usize] });
+        let may_miss = [0, 1].map(|k| {
+            if misses_nothing(&results[k]) {
+                Some(0.0)
+            } else {
+                bounds[k][cell as usize]
+            }
+        });
         let is_beyond_noise = match (certain, may_miss) {
             (Some([came, went]), [Some(older), Some(newer)]) => Some(came > older || went > newer),
             _ => None,
         };
         let fraction = (came.count() + went.count()) as f64 / union.max(1) as f64;
-        all.push(Change { cell, came, went, undecided, fraction, shares, is_beyond_noise });
+        all.push(Change {
+            cell,
+            came,
+            went,
+            undecided,
+            fraction,
+            shares,
+            is_beyond_noise,
+        });
     }
     Ok(all)
 }
@@ -288,7 +346,10 @@ fn misses_nothing(pvs: &Pvs) -> bool {
 /// The set of a cell and its undecided part, as items that both results number alike.
 fn set(pvs: &Pvs, items: &Items, result: usize, cell: u32) -> Result<[Runs; 2], PvsError> {
     match items {
-        Items::Triangles => Ok([Runs(pvs.visible_bounds(cell)?), Runs(pvs.undecided_bounds(cell)?)]),
+        Items::Triangles => Ok([
+            Runs(pvs.visible_bounds(cell)?),
+            Runs(pvs.undecided_bounds(cell)?),
+        ]),
         Items::Objects { of, .. } => {
             let (mut visible, mut undecided) = (Vec::new(), Vec::new());
             pvs.visible_objects(cell, &mut visible)?;
@@ -305,12 +366,21 @@ fn set(pvs: &Pvs, items: &Items, result: usize, cell: u32) -> Result<[Runs; 2], 
 /// The least share of the view that some items of a cell take together, on average over its viewpoints;
 /// `None` without contributions of such items.
 fn share(pvs: &Pvs, items: &Items, cell: u32, of: &Runs) -> Result<Option<f64>, CliError> {
-    let is_one = matches!((items, pvs.granularity()), (Items::Triangles, Granularity::Triangles));
-    let Some(all) = pvs.contributions(cell)?.filter(|_| is_one) else { return Ok(None) };
+    let is_one = matches!(
+        (items, pvs.granularity()),
+        (Items::Triangles, Granularity::Triangles)
+    );
+    let Some(all) = pvs.contributions(cell)?.filter(|_| is_one) else {
+        return Ok(None);
+    };
     let mut ids = Vec::new();
     pvs.visible_items(cell, &mut ids)?;
     // Contributions have a byte for each visible item, which is more than enough for these ids.
-    let shares = ids.iter().zip(&all).filter(|(id, _)| of.has(**id)).map(|(_, c)| c.mean()[0]);
+    let shares = ids
+        .iter()
+        .zip(&all)
+        .filter(|(id, _)| of.has(**id))
+        .map(|(_, c)| c.mean()[0]);
     Ok(Some(shares.sum()))
 }
 
@@ -319,9 +389,10 @@ fn objects(results: &[Pvs; 2], items: &Items, changed: &[&Change]) -> Vec<(Strin
     let named = |result: usize, of: &Runs| -> BTreeSet<String> {
         let each = of.0.chunks_exact(2);
         match items {
-            Items::Objects { names, .. } => {
-                each.flat_map(|run| run[0]..run[1]).map(|id| names[id as usize].clone()).collect()
-            }
+            Items::Objects { names, .. } => each
+                .flat_map(|run| run[0]..run[1])
+                .map(|id| names[id as usize].clone())
+                .collect(),
             Items::Triangles => {
                 let objects = results[result].objects();
                 let touched = |run: &[u32]| {
@@ -329,14 +400,22 @@ fn objects(results: &[Pvs; 2], items: &Items, changed: &[&Change]) -> Vec<(Strin
                     let end = objects.partition_point(|o| o.first < run[1]);
                     objects[first..end.max(first)].iter()
                 };
-                each.flat_map(touched).filter(|o| o.count > 0).map(|o| o.name.clone()).collect()
+                each.flat_map(touched)
+                    .filter(|o| o.count > 0)
+                    .map(|o| o.name.clone())
+                    .collect()
             }
         }
     };
     let mut counts: BTreeMap<String, [usize; 2]> = BTreeMap::new();
     for change in changed {
-        for (k, (result, of)) in [(1, &change.came), (0, &change.went)].into_iter().enumerate() {
-            named(result, of).into_iter().for_each(|name| counts.entry(name).or_default()[k] += 1);
+        for (k, (result, of)) in [(1, &change.came), (0, &change.went)]
+            .into_iter()
+            .enumerate()
+        {
+            named(result, of)
+                .into_iter()
+                .for_each(|name| counts.entry(name).or_default()[k] += 1);
         }
     }
     let mut all: Vec<(String, [usize; 2])> = counts.into_iter().collect();
@@ -361,17 +440,28 @@ fn table<const N: usize>(
         out.push_str(&row(&head.map(str::to_owned)));
         out.push_str(&row(&head.map(|_| "--".to_owned())));
         // A bar in a name would end its column.
-        rows.iter().for_each(|cells| out.push_str(&row(&cells.clone().map(|c| c.replace('|', "\\|")))));
+        rows.iter()
+            .for_each(|cells| out.push_str(&row(&cells.clone().map(|c| c.replace('|', "\\|")))));
         return;
     }
-    let width =
-        |k: usize| rows.iter().map(|r| r[k].chars().count()).chain([head[k].len()]).max().unwrap_or(0);
+    let width = |k: usize| {
+        rows.iter()
+            .map(|r| r[k].chars().count())
+            .chain([head[k].len()])
+            .max()
+            .unwrap_or(0)
+    };
     let widths: [usize; N] = std::array::from_fn(width);
     let mut line = |cells: [&str; N]| {
-        let padded: Vec<String> = cells.iter().zip(widths).map(|(c, w)| format!("{c:<w$}")).collect();
+        let padded: Vec<String> = cells
+            .iter()
+            .zip(widths)
+            .map(|(c, w)| format!("{c:<w$}"))
+            .collect();
         out.push_str(padded.join("  ").trim_end());
         out.push('\n');
     };
     line(head);
-    rows.iter().for_each(|row| line(std::array::from_fn(|k| row[k].as_str())));
+    rows.iter()
+        .for_each(|row| line(std::array::from_fn(|k| row[k].as_str())));
 }

@@ -33,14 +33,29 @@ pub fn write(
     about.clone_into(&mut view.about);
     let map = |name: &str, of: &dyn Fn(&CellChange) -> usize| {
         let mut values = vec![0.0; pvs.cells() as usize];
-        changes.iter().for_each(|change| values[change.cell as usize] = of(change) as f32);
-        Map { name: name.to_owned(), values }
+        changes
+            .iter()
+            .for_each(|change| values[change.cell as usize] = of(change) as f32);
+        Map {
+            name: name.to_owned(),
+            values,
+        }
     };
-    let maps = [map("came into the set", &|c| c.came), map("went out of the set", &|c| c.went)];
-    view.maps.splice(0..0, maps.into_iter().filter(Map::says_something));
-    if let Some(most) = changes.iter().max_by_key(|c| (c.came + c.went, std::cmp::Reverse(c.cell))) {
+    let maps = [
+        map("came into the set", &|c| c.came),
+        map("went out of the set", &|c| c.went),
+    ];
+    view.maps
+        .splice(0..0, maps.into_iter().filter(Map::says_something));
+    if let Some(most) = changes
+        .iter()
+        .max_by_key(|c| (c.came + c.went, std::cmp::Reverse(c.cell)))
+    {
         view.start = most.cell;
     }
     let page = page(&view).map_err(|e| CliError::Input(format!("{}: {e}", newer.display())))?;
-    output.write(|out| out.write_all(page.as_bytes()).map_err(|e| CliError::writing(output.path(), &e)))
+    output.write(|out| {
+        out.write_all(page.as_bytes())
+            .map_err(|e| CliError::writing(output.path(), &e))
+    })
 }

@@ -31,7 +31,10 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
             header["items"] = args.items.name().into();
         }
         let clusters = (args.items == Items::Clusters).then_some(Clusters(&pvs));
-        let fields = header.as_object_mut().map(std::mem::take).unwrap_or_default();
+        let fields = header
+            .as_object_mut()
+            .map(std::mem::take)
+            .unwrap_or_default();
         printable::json(&mut out, &Head { fields, clusters })?;
         writeln!(out)?;
         let all = (0..pvs.cells()).filter(|cell| args.cell.is_empty() || args.cell.contains(cell));
@@ -40,7 +43,13 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
             let [min, max] = corners(&pvs, cell);
             let of = |c: &sightline_pvs::Contribution| json!({"mean": c.mean(), "greatest": c.greatest()});
             let contributions = match args.contributions {
-                true => Some(pvs.contributions(cell)?.unwrap_or_default().iter().map(of).collect()),
+                true => Some(
+                    pvs.contributions(cell)?
+                        .unwrap_or_default()
+                        .iter()
+                        .map(of)
+                        .collect(),
+                ),
                 false => None,
             };
             let line = Line {
@@ -71,7 +80,10 @@ pub fn dump(args: &DumpArgs) -> Result<(), CliError> {
 fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), CliError> {
     let file = args.result.result.display();
     if let Some(cell) = args.cell.iter().find(|cell| **cell >= pvs.cells()) {
-        return Err(CliError::Usage(format!("--cell {cell}: {file} has {} cells, from 0", pvs.cells())));
+        return Err(CliError::Usage(format!(
+            "--cell {cell}: {file} has {} cells, from 0",
+            pvs.cells()
+        )));
     }
     if args.items == Items::Cells && pvs.cell_pairs()?.is_none() {
         return Err(CliError::Input(format!("{file}: {}", PvsError::NoPairs)));
@@ -83,7 +95,9 @@ fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), CliError> {
         )));
     }
     if args.contributions && !pvs.has_contributions() {
-        return Err(CliError::Input(format!("{file} has no contributions; bake with --contributions")));
+        return Err(CliError::Input(format!(
+            "{file} has no contributions; bake with --contributions"
+        )));
     }
     if args.contributions && args.items.name() != pvs.granularity().name() {
         let name = pvs.granularity().name();
@@ -140,7 +154,9 @@ struct Line {
 
 /// Returns the corners of a cell as JSON has them: as doubles, in which single precision has all its digits.
 pub fn corners(pvs: &Pvs, cell: u32) -> [[f64; 3]; 2] {
-    pvs.cell_bounds(cell).unwrap_or_default().map(|corner| corner.map(f64::from))
+    pvs.cell_bounds(cell)
+        .unwrap_or_default()
+        .map(|corner| corner.map(f64::from))
 }
 
 /// Ascending ids, kept as the boundaries of their runs.
@@ -154,7 +170,10 @@ impl Ids {
 
     /// Returns the number of ids.
     pub fn count(&self) -> usize {
-        self.0.chunks_exact(2).map(|run| (run[1] - run[0]) as usize).sum()
+        self.0
+            .chunks_exact(2)
+            .map(|run| (run[1] - run[0]) as usize)
+            .sum()
     }
 }
 
@@ -168,7 +187,12 @@ impl Serialize for Ids {
 pub fn sets(pvs: &Pvs, cell: u32, items: Items) -> Result<[Ids; 2], PvsError> {
     let (mut visible, mut undecided) = (Vec::new(), Vec::new());
     match items {
-        Items::Triangles => return Ok([Ids(pvs.visible_bounds(cell)?), Ids(pvs.undecided_bounds(cell)?)]),
+        Items::Triangles => {
+            return Ok([
+                Ids(pvs.visible_bounds(cell)?),
+                Ids(pvs.undecided_bounds(cell)?),
+            ]);
+        }
         Items::Objects => {
             pvs.visible_objects(cell, &mut visible)?;
             pvs.undecided_objects(cell, &mut undecided)?;

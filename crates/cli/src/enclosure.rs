@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use sightline_portals::{Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of};
+use sightline_portals::{
+    Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of,
+};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_viewcells::Region;
@@ -31,7 +33,11 @@ impl Walls {
         let mut tree = Tree::new(scene, points);
         let enclosure = refine(&mut tree, points);
         let reached = reached(&tree, points);
-        Self { tree, reached, enclosure }
+        Self {
+            tree,
+            reached,
+            enclosure,
+        }
     }
 
     /// Whether a way leads out.
@@ -44,7 +50,9 @@ impl Walls {
         if self.enclosure != Enclosure::Closed {
             return Ok(None);
         }
-        region_of(&self.tree, &self.reached).map(Some).map_err(CliError::internal)
+        region_of(&self.tree, &self.reached)
+            .map(Some)
+            .map_err(CliError::internal)
     }
 
     /// What was found, in a sentence.
@@ -52,7 +60,9 @@ impl Walls {
         let leaves = plural(self.reached.len(), "convex part");
         match &self.enclosure {
             Enclosure::Closed => {
-                format!("walls enclose the points of --reachable-from: {leaves} of space between them")
+                format!(
+                    "walls enclose the points of --reachable-from: {leaves} of space between them"
+                )
             }
             Enclosure::Leak(..) => {
                 let narrowest = self.narrowest().map_or_else(String::new, |face| {
@@ -79,7 +89,9 @@ impl Walls {
 
     /// The narrowest opening of the way out that was found.
     pub fn narrowest(&self) -> Option<&Face> {
-        let Enclosure::Leak(_, portals) = &self.enclosure else { return None };
+        let Enclosure::Leak(_, portals) = &self.enclosure else {
+            return None;
+        };
         let faces = portals.iter().map(|p| &self.tree.portal(*p).face);
         faces.min_by(|a, b| a.width().total_cmp(&b.width()))
     }
@@ -92,7 +104,10 @@ pub fn refine(tree: &mut Tree, points: &[[f32; 3]]) -> Enclosure {
     enclose(tree, points, limits, &mut |leaves| {
         if told.elapsed() >= TELL_EVERY {
             told = Instant::now();
-            say(&format!("looking for walls: {leaves} parts of space so far, at most {}", limits.leaves));
+            say(&format!(
+                "looking for walls: {leaves} parts of space so far, at most {}",
+                limits.leaves
+            ));
         }
         true
     })
@@ -115,7 +130,9 @@ pub fn walls_of<'a>(pvs: &Pvs, scene: &'a Scene) -> Option<&'a Scene> {
 
 /// The region that holds all viewpoints of a result, with the planes of its scene.
 pub fn of_result(pvs: &Pvs, scene: &Scene, result: &Path) -> Result<Option<Reached>, CliError> {
-    let Some(bytes) = pvs.region() else { return Ok(None) };
+    let Some(bytes) = pvs.region() else {
+        return Ok(None);
+    };
     let bad = |e: &dyn std::fmt::Display| CliError::Input(format!("{}: {e}", result.display()));
     let region = Region::decode(bytes).map_err(|e| bad(&e))?;
     Reached::new(&region, scene).map(Some).map_err(|e| bad(&e))

@@ -75,8 +75,12 @@ impl CliError {
             Self::Internal(text) if text.starts_with("Resource temporarily unavailable") => {
                 Some(Exhausted::Threads)
             }
-            Self::Internal(text) | Self::Input(text) | Self::Usage(text) => Exhausted::in_error(text),
-            Self::Coordinator(text) if is_bake || !text.starts_with(ANSWERED) => Exhausted::in_error(text),
+            Self::Internal(text) | Self::Input(text) | Self::Usage(text) => {
+                Exhausted::in_error(text)
+            }
+            Self::Coordinator(text) if is_bake || !text.starts_with(ANSWERED) => {
+                Exhausted::in_error(text)
+            }
             Self::Job(text) if is_bake => Exhausted::in_error(text),
             _ => None,
         }

@@ -67,7 +67,12 @@ pub fn watch() {
             // A progress bar may be locked by the code that panics. The write fails only when stderr is
             // closed.
             Some(what) => {
-                drop(writeln!(stderr(), "error: {}; {}", what.sentence(), what.remedy()));
+                drop(writeln!(
+                    stderr(),
+                    "error: {}; {}",
+                    what.sentence(),
+                    what.remedy()
+                ));
                 // Unwinding needs memory, too. Where it cannot begin, the panic ends in `abort`.
                 if what == Exhausted::Memory {
                     HAS_FAILED.set(true);
@@ -100,9 +105,9 @@ impl Exhausted {
         // The numbers of the system as errors display and debug them: EMFILE and ENFILE, ENOMEM, and EAGAIN
         // of Linux and macOS.
         let has = |numbers: &[u32]| {
-            numbers
-                .iter()
-                .any(|n| text.contains(&format!("(os error {n})")) || text.contains(&format!("code: {n},")))
+            numbers.iter().any(|n| {
+                text.contains(&format!("(os error {n})")) || text.contains(&format!("code: {n},"))
+            })
         };
         let is_thread = text.contains("thread") || text.contains("ThreadPool");
         // The loader of libraries reports no numbers.
@@ -111,9 +116,13 @@ impl Exhausted {
         } else if is_thread && has(&[11, 35, 12]) {
             Some(Self::Threads)
         } else if has(&[12])
-            || ["out of memory", "not enough memory", "Cannot allocate memory"]
-                .iter()
-                .any(|t| text.contains(t))
+            || [
+                "out of memory",
+                "not enough memory",
+                "Cannot allocate memory",
+            ]
+            .iter()
+            .any(|t| text.contains(t))
         {
             Some(Self::Memory)
         } else {
@@ -124,7 +133,8 @@ impl Exhausted {
     /// Finds the resource that the payload of a panic names.
     pub fn in_panic(payload: &(dyn Any + Send)) -> Option<Self> {
         let text = payload.downcast_ref::<String>().map(String::as_str);
-        text.or_else(|| payload.downcast_ref::<&str>().copied()).and_then(Self::in_error)
+        text.or_else(|| payload.downcast_ref::<&str>().copied())
+            .and_then(Self::in_error)
     }
 
     fn sentence(self) -> &'static str {
@@ -138,7 +148,9 @@ impl Exhausted {
     /// Returns the remedy.
     pub fn remedy(self) -> &'static str {
         match self {
-            Self::Memory => "give the process more memory (ulimit -v), or a smaller scene or result",
+            Self::Memory => {
+                "give the process more memory (ulimit -v), or a smaller scene or result"
+            }
             Self::Threads => {
                 "raise the limits of processes and memory (ulimit -u and ulimit -v), or use fewer threads"
             }
@@ -153,7 +165,8 @@ mod abort {
 
     use crate::exhaustion::HAS_FAILED;
 
-    const SENTENCE: &[u8] = b"error: the system has no memory left for this process; give it more memory \
+    const SENTENCE: &[u8] =
+        b"error: the system has no memory left for this process; give it more memory \
         (ulimit -v), use fewer threads, or a smaller scene or result\n";
 
     /// Writes the sentence and ends the process if an allocation of this thread has failed. Otherwise it
@@ -162,18 +175,28 @@ mod abort {
         if !HAS_FAILED.get() {
             return;
         }
-        #[allow(unsafe_code, reason = "a handler of signals may call these functions of C and no others")]
+        #[allow(
+            unsafe_code,
+            reason = "a handler of signals may call these functions of C and no others"
+        )]
         // SAFETY: the bytes outlive the call, and both functions may be called in a handler.
         unsafe {
             // Fails only when stderr is closed; then the error cannot be shown either.
-            let _ = libc::write(libc::STDERR_FILENO, SENTENCE.as_ptr().cast(), SENTENCE.len());
+            let _ = libc::write(
+                libc::STDERR_FILENO,
+                SENTENCE.as_ptr().cast(),
+                SENTENCE.len(),
+            );
             libc::_exit(1);
         }
     }
 
     /// Ends the process with exit code 1.
     pub(super) fn end() -> ! {
-        #[allow(unsafe_code, reason = "the standard library's exit runs handlers, which may need threads")]
+        #[allow(
+            unsafe_code,
+            reason = "the standard library's exit runs handlers, which may need threads"
+        )]
         // SAFETY: the function has no preconditions.
         unsafe {
             libc::_exit(1);
@@ -201,18 +224,25 @@ mod tests {
     #[test]
     fn error_texts_name_exhausted_resource() {
         let of = |number| Error::from_raw_os_error(number);
-        let in_error = |error: Error| Exhausted::in_error(&format!("a.pvs cannot be read: {error}"));
+        let in_error =
+            |error: Error| Exhausted::in_error(&format!("a.pvs cannot be read: {error}"));
         assert_eq!(in_error(of(24)), Some(Exhausted::Files));
         assert_eq!(in_error(of(23)), Some(Exhausted::Files));
         assert_eq!(in_error(of(12)), Some(Exhausted::Memory));
-        assert_eq!(in_error(ErrorKind::OutOfMemory.into()), Some(Exhausted::Memory));
+        assert_eq!(
+            in_error(ErrorKind::OutOfMemory.into()),
+            Some(Exhausted::Memory)
+        );
         assert_eq!(in_error(of(2)), None);
         // A socket without data reports the same number as a thread that cannot start.
         assert_eq!(in_error(of(11)), None);
         for panic in [
             format!("failed to spawn thread: {:?}", of(11)),
             format!("OS can't spawn worker thread: {}", of(11)),
-            format!("The global thread pool has not been initialized.: {:?}", of(12)),
+            format!(
+                "The global thread pool has not been initialized.: {:?}",
+                of(12)
+            ),
         ] {
             let payload: Box<dyn Any + Send> = Box::new(panic);
             assert_eq!(Exhausted::in_panic(&*payload), Some(Exhausted::Threads));

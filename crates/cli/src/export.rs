@@ -34,14 +34,23 @@ pub fn run(args: &ExportArgs, json: bool) -> Result<(), CliError> {
     };
     let path = args.output.display().to_string();
     print(&match json {
-        true => json!({"output": path, "cells": pvs.cells(), "objects": pvs.objects().len()}).to_string(),
-        false => format!("wrote {path}: {} cells, {} objects", pvs.cells(), pvs.objects().len()),
+        true => json!({"output": path, "cells": pvs.cells(), "objects": pvs.objects().len()})
+            .to_string(),
+        false => format!(
+            "wrote {path}: {} cells, {} objects",
+            pvs.cells(),
+            pvs.objects().len()
+        ),
     })
 }
 
 /// Writes the lists alone.
 fn write(args: &ExportArgs) -> Result<Pvs, CliError> {
-    let format = if args.format == ExportFormat::Csv { Format::Csv } else { Format::Json };
+    let format = if args.format == ExportFormat::Csv {
+        Format::Csv
+    } else {
+        Format::Json
+    };
     let output = Output::check(&args.output, format, Some(&args.result))?;
     let pvs = open(&args.result)?;
     output.write(|out| {
@@ -79,7 +88,9 @@ fn cell(pvs: &Pvs, number: u32) -> Result<Option<Value>, CliError> {
     let mut ids = Vec::new();
     pvs.visible_objects(number, &mut ids)?;
     let [min, max] = pvs.cell_bounds(number).unwrap_or_default();
-    Ok(Some(json!({"cell": number, "min": min, "max": max, "objects": ids})))
+    Ok(Some(
+        json!({"cell": number, "min": min, "max": max, "objects": ids}),
+    ))
 }
 
 /// Lists of objects by cell, beside the scene's file.
@@ -95,8 +106,9 @@ fn sidecar(pvs: &Pvs) -> Result<Value, CliError> {
 
 /// What to load in each cell, and what next.
 fn manifest(pvs: &Pvs) -> Result<Value, CliError> {
-    let bounds: Vec<[[f32; 3]; 2]> =
-        (0..pvs.cells()).map(|number| pvs.cell_bounds(number).unwrap_or_default()).collect();
+    let bounds: Vec<[[f32; 3]; 2]> = (0..pvs.cells())
+        .map(|number| pvs.cell_bounds(number).unwrap_or_default())
+        .collect();
     let mut reached = Vec::new();
     for number in 0..pvs.cells() {
         if pvs.is_reached(number)? {
@@ -107,7 +119,9 @@ fn manifest(pvs: &Pvs) -> Result<Value, CliError> {
     let mut cells = Vec::new();
     let mut items = Vec::new();
     for number in &reached {
-        let Some(mut value) = cell(pvs, *number)? else { continue };
+        let Some(mut value) = cell(pvs, *number)? else {
+            continue;
+        };
         value["triangles"] = pvs.visible_count(*number)?.into();
         value["neighbours"] = neighbours[*number as usize].iter().copied().collect();
         // The least share of the view of each object, where the bake measured objects.
@@ -115,7 +129,8 @@ fn manifest(pvs: &Pvs) -> Result<Value, CliError> {
             && let Some(all) = pvs.contributions(*number)?
         {
             pvs.visible_items(*number, &mut items)?;
-            let share = |(item, c): (&u32, &sightline_pvs::Contribution)| json!([item, c.mean()[0]]);
+            let share =
+                |(item, c): (&u32, &sightline_pvs::Contribution)| json!([item, c.mean()[0]]);
             value["shares"] = items.iter().zip(&all).map(share).collect();
         }
         cells.push(value);
@@ -133,7 +148,9 @@ fn neighbours(bounds: &[[[f32; 3]; 2]], reached: &[u32]) -> Vec<BTreeSet<u32>> {
         // The boxes that begin at each plane.
         let mut from: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         for number in reached {
-            from.entry(bounds[*number as usize][0][axis].to_bits()).or_default().push(*number);
+            from.entry(bounds[*number as usize][0][axis].to_bits())
+                .or_default()
+                .push(*number);
         }
         for number in reached {
             let of = &bounds[*number as usize];
@@ -151,7 +168,11 @@ fn neighbours(bounds: &[[[f32; 3]; 2]], reached: &[u32]) -> Vec<BTreeSet<u32>> {
 }
 
 /// A line for each pair of a cell and an object in its set.
-fn csv(pvs: &Pvs, out: &mut dyn Write, to: &dyn Fn(std::io::Error) -> CliError) -> Result<(), CliError> {
+fn csv(
+    pvs: &Pvs,
+    out: &mut dyn Write,
+    to: &dyn Fn(std::io::Error) -> CliError,
+) -> Result<(), CliError> {
     writeln!(out, "cell,object,name").map_err(to)?;
     let mut ids = Vec::new();
     for number in 0..pvs.cells() {
@@ -160,7 +181,10 @@ fn csv(pvs: &Pvs, out: &mut dyn Write, to: &dyn Fn(std::io::Error) -> CliError) 
         }
         pvs.visible_objects(number, &mut ids)?;
         for id in &ids {
-            let name = pvs.objects().get(*id as usize).map_or("", |o| o.name.as_str());
+            let name = pvs
+                .objects()
+                .get(*id as usize)
+                .map_or("", |o| o.name.as_str());
             writeln!(out, "{number},{id},{}", quoted(name)).map_err(to)?;
         }
     }
@@ -183,7 +207,13 @@ mod tests {
     #[test]
     fn boxes_that_share_an_edge_are_no_neighbours() {
         let of = |x: f32, y: f32| [[x, y, 0.0], [x + 1.0, y + 1.0, 1.0]];
-        let all = [of(0.0, 0.0), of(1.0, 0.5), of(1.0, -1.0), of(3.0, 0.0), of(0.0, 1.0)];
+        let all = [
+            of(0.0, 0.0),
+            of(1.0, 0.5),
+            of(1.0, -1.0),
+            of(3.0, 0.0),
+            of(0.0, 1.0),
+        ];
         let found = neighbours(&all, &[0, 1, 2, 3, 4]);
         assert_eq!(found[0], BTreeSet::from([1, 4]));
         assert_eq!(found[1], BTreeSet::from([0, 4]));

@@ -22,10 +22,13 @@ const SAVED: usize = 4096;
 
 /// Writes the scene of a result with the extension.
 pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result<(), CliError> {
-    let of_scene = |e: &dyn std::fmt::Display| CliError::Input(format!("{}: {e}", scene_path.display()));
+    let of_scene =
+        |e: &dyn std::fmt::Display| CliError::Input(format!("{}: {e}", scene_path.display()));
     let scene = opening::scene_of(scene_path, &KindArgs::default(), pvs, result)?;
     if scene.sources().is_empty() {
-        return Err(of_scene(&"it is no glTF or GLB; use --format sidecar, or bake from a glTF file"));
+        return Err(of_scene(
+            &"it is no glTF or GLB; use --format sidecar, or bake from a glTF file",
+        ));
     }
     if pvs.objects().iter().any(|object| object.source.is_none()) {
         return Err(CliError::Input(format!(
@@ -36,8 +39,15 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
     }
     let bytes = std::fs::read(scene_path).map_err(|e| of_scene(&e))?;
     let file = GltfFile::parse(&bytes).map_err(|e| of_scene(&e))?;
-    let format = if file.is_glb() { Format::Glb } else { Format::Gltf };
-    if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case(format.extension())) {
+    let format = if file.is_glb() {
+        Format::Glb
+    } else {
+        Format::Gltf
+    };
+    if !path
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case(format.extension()))
+    {
         return Err(CliError::Usage(format!(
             "{} would be a file like {}; give -o a name that ends in .{}",
             path.display(),
@@ -77,14 +87,26 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
         }
         value
     };
-    let added = if is_packed { &packed } else { &Added::default() };
-    let whole = file.with(NAME, added, extension).map_err(|e| of_scene(&e))?;
-    output.write(|out| out.write_all(&whole).map_err(|e| CliError::writing(output.path(), &e)))
+    let added = if is_packed {
+        &packed
+    } else {
+        &Added::default()
+    };
+    let whole = file
+        .with(NAME, added, extension)
+        .map_err(|e| of_scene(&e))?;
+    output.write(|out| {
+        out.write_all(&whole)
+            .map_err(|e| CliError::writing(output.path(), &e))
+    })
 }
 
 /// The folder of a file, as the system names it.
 fn folder(path: &Path) -> Option<std::path::PathBuf> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     std::fs::canonicalize(folder).ok()
 }
 
@@ -100,7 +122,8 @@ impl Lists {
     fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, CliError> {
         // What moves, only blocks, or is of points and lines is in no set, which does not say that it is
         // hidden.
-        let shows = |first: u32, count: u32| (first..first + count).any(|t| scene.kinds().kind(t).shows());
+        let shows =
+            |first: u32, count: u32| (first..first + count).any(|t| scene.kinds().kind(t).shows());
         let mut objects = Vec::new();
         let mut numbers = Vec::with_capacity(pvs.objects().len());
         for object in pvs.objects() {
@@ -108,7 +131,8 @@ impl Lists {
             let source = object.source.filter(|_| shows(object.first, object.count));
             numbers.push(source.map(|_| number));
             if let Some(of) = source {
-                let mut value = json!({"node": of.node, "mesh": of.mesh, "primitive": of.primitive});
+                let mut value =
+                    json!({"node": of.node, "mesh": of.mesh, "primitive": of.primitive});
                 if let Some(instance) = of.instance {
                     value["instance"] = instance.into();
                 }
@@ -119,7 +143,10 @@ impl Lists {
         for cell in 0..pvs.cells() {
             if pvs.is_reached(cell)? {
                 pvs.visible_objects(cell, &mut ids)?;
-                let of = ids.iter().filter_map(|id| *numbers.get(*id as usize)?).collect();
+                let of = ids
+                    .iter()
+                    .filter_map(|id| *numbers.get(*id as usize)?)
+                    .collect();
                 cells.push((pvs.cell_bounds(cell).unwrap_or_default(), of));
             }
         }
@@ -127,8 +154,11 @@ impl Lists {
     }
 
     fn in_json(&self) -> Value {
-        let cell =
-            |(of, ids): &([[f32; 3]; 2], Vec<u32>)| json!({"min": of[0], "max": of[1], "objects": ids});
+        let cell = |(of, ids): &([[f32; 3]; 2], Vec<u32>)| {
+            json!({
+                "min": of[0], "max": of[1], "objects": ids
+            })
+        };
         self.cells.iter().map(cell).collect()
     }
 
@@ -140,7 +170,12 @@ impl Lists {
     /// The same as three buffer views: boxes, where each list ends, and the lists one after the other.
     fn packed(&self) -> Added {
         let mut added = Added::default();
-        added.push(self.cells.iter().flat_map(|(of, _)| of.as_flattened()).flat_map(|x| x.to_le_bytes()));
+        added.push(
+            self.cells
+                .iter()
+                .flat_map(|(of, _)| of.as_flattened())
+                .flat_map(|x| x.to_le_bytes()),
+        );
         let ends = self.cells.iter().scan(0u32, |end, (_, ids)| {
             *end = end.saturating_add(ids.len() as u32);
             Some(*end)

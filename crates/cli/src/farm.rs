@@ -36,18 +36,25 @@ fn with<T, F: Future<Output = Result<T, CliError>>>(
 
 /// Lets a quarantined worker work again.
 fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), CliError> {
-    let request = v1::ReleaseWorkerRequest { worker: worker.to_owned() };
+    let request = v1::ReleaseWorkerRequest {
+        worker: worker.to_owned(),
+    };
     let answer = with(remote, |mut farm| async move {
         let answer = farm.release_worker(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+        answer
+            .map(tonic::Response::into_inner)
+            .map_err(|s| CliError::status(&s))
     })?;
-    let Some(v1::ReleaseWorkerResponse { was_quarantined }) = answer else { return Ok(()) };
+    let Some(v1::ReleaseWorkerResponse { was_quarantined }) = answer else {
+        return Ok(());
+    };
     if json {
         return print(&json!({"worker": worker, "was_quarantined": was_quarantined}).to_string());
     }
     if !was_quarantined {
-        let text =
-            format!("no worker named {worker} is quarantined; `sightline workers` lists those that are");
+        let text = format!(
+            "no worker named {worker} is quarantined; `sightline workers` lists those that are"
+        );
         return Err(CliError::Input(text));
     }
     print(&format!("worker {worker} may work again"))
@@ -61,7 +68,9 @@ pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
         let text = "--since is a longer time than --until: both count back from now";
         return Err(CliError::Usage(text.to_owned()));
     }
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_err(CliError::internal)?;
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_err(CliError::internal)?;
     let ago = |time: Duration| now.saturating_sub(time).as_millis() as u64;
     let request = v1::InvalidateRequest {
         job: args.id,
@@ -72,9 +81,13 @@ pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
     };
     let answer = with(&args.remote, |mut farm| async move {
         let answer = farm.invalidate(request).await;
-        answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+        answer
+            .map(tonic::Response::into_inner)
+            .map_err(|s| CliError::status(&s))
     })?;
-    let Some(v1::InvalidateResponse { jobs }) = answer else { return Ok(()) };
+    let Some(v1::InvalidateResponse { jobs }) = answer else {
+        return Ok(());
+    };
     if json {
         let job = |job: &v1::InvalidatedJob| json!({"job": job.job, "tiles": job.tiles});
         return print(&Value::from_iter(jobs.iter().map(job)).to_string());
@@ -82,7 +95,12 @@ pub fn invalidate(args: &InvalidateArgs, json: bool) -> Result<(), CliError> {
     if jobs.is_empty() {
         return print("no done tile is meant; `sightline show JOB --tiles` lists who did which");
     }
-    jobs.iter().try_for_each(|job| print(&format!("job {}: {} tiles are computed again", job.job, job.tiles)))
+    jobs.iter().try_for_each(|job| {
+        print(&format!(
+            "job {}: {} tiles are computed again",
+            job.job, job.tiles
+        ))
+    })
 }
 
 /// Lists the connected workers and those that are quarantined, or releases one.
@@ -92,20 +110,34 @@ pub fn workers(args: &WorkersArgs, json: bool) -> Result<(), CliError> {
     }
     let listed = with(&args.remote, |mut farm| async move {
         let answer = farm.list_workers(v1::ListWorkersRequest {}).await;
-        answer.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+        answer
+            .map(tonic::Response::into_inner)
+            .map_err(|s| CliError::status(&s))
     })?;
-    let Some(v1::ListWorkersResponse { workers, now_ms, quarantined }) = listed else { return Ok(()) };
+    let Some(v1::ListWorkersResponse {
+        workers,
+        now_ms,
+        quarantined,
+    }) = listed
+    else {
+        return Ok(());
+    };
     if json {
         return print(&Value::from_iter(workers.iter().map(worker_value)).to_string());
     }
     for worker in &quarantined {
         let since = millis(now_ms.saturating_sub(worker.since_ms));
-        print(&format!("{} IS QUARANTINED since {since} ago: {}", worker.worker, worker.reason))?;
+        print(&format!(
+            "{} IS QUARANTINED since {since} ago: {}",
+            worker.worker, worker.reason
+        ))?;
     }
     if workers.is_empty() {
         return print("no workers are connected; start some with `sightline worker`");
     }
-    workers.iter().try_for_each(|w| print(&worker_line(w, now_ms)))
+    workers
+        .iter()
+        .try_for_each(|w| print(&worker_line(w, now_ms)))
 }
 
 /// A duration of milliseconds, in words.
@@ -116,7 +148,10 @@ fn millis(ms: u64) -> String {
 fn worker_line(w: &v1::WorkerInfo, now_ms: u64) -> String {
     let mut does: Vec<String> = w.tiles.iter().map(|held| held_text(held, now_ms)).collect();
     if let Some(helped) = &w.helps {
-        does.push(format!("helps with tile {} of job {}", helped.tile, helped.job));
+        does.push(format!(
+            "helps with tile {} of job {}",
+            helped.tile, helped.job
+        ));
     }
     if does.is_empty() {
         does.push("idle".to_owned());
@@ -175,9 +210,24 @@ pub fn tiles(remote: &RemoteArgs, job: u64, json: bool) -> Result<(), CliError> 
     with(remote, |mut farm| async move {
         let mut first = 0;
         loop {
-            let request = v1::ListTilesRequest { job, first, limit: TILES_AT_ONCE, states: Vec::new() };
-            let page = farm.list_tiles(request).await.map_err(|s| CliError::status(&s))?.into_inner();
-            let line = |t| if json { tile_value(t).to_string() } else { tile_line(t) };
+            let request = v1::ListTilesRequest {
+                job,
+                first,
+                limit: TILES_AT_ONCE,
+                states: Vec::new(),
+            };
+            let page = farm
+                .list_tiles(request)
+                .await
+                .map_err(|s| CliError::status(&s))?
+                .into_inner();
+            let line = |t| {
+                if json {
+                    tile_value(t).to_string()
+                } else {
+                    tile_line(t)
+                }
+            };
             let lines: Vec<String> = page.tiles.iter().map(line).collect();
             if !lines.is_empty() {
                 print(&lines.join("\n"))?;
@@ -205,7 +255,13 @@ fn state(tile: &v1::TileInfo) -> &'static str {
 
 fn tile_line(t: &v1::TileInfo) -> String {
     let mut line = format!("tile {}: {}", t.tile, state(t));
-    let workers = t.workers.iter().filter(|w| !w.is_empty()).cloned().collect::<Vec<_>>().join(", ");
+    let workers = t
+        .workers
+        .iter()
+        .filter(|w| !w.is_empty())
+        .cloned()
+        .collect::<Vec<_>>()
+        .join(", ");
     // Writing to a string cannot fail.
     if !workers.is_empty() {
         let _ = write!(line, " on {workers}");
@@ -241,9 +297,17 @@ fn tile_value(t: &v1::TileInfo) -> Value {
 
 /// Prints what happened to a job or on the farm.
 pub fn logs(args: &LogsArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::EventsRequest { job: args.id, after: args.after, follow: args.follow };
+    let request = v1::EventsRequest {
+        job: args.id,
+        after: args.after,
+        follow: args.follow,
+    };
     with(&args.remote, |mut farm| async move {
-        let mut events = farm.events(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        let mut events = farm
+            .events(request)
+            .await
+            .map_err(|s| CliError::status(&s))?
+            .into_inner();
         let mut traced = args.trace.then(Timeline::default);
         while let Some(event) = events.next().await {
             let event = event.map_err(|s| CliError::status(&s))?;
@@ -251,7 +315,11 @@ pub fn logs(args: &LogsArgs, json: bool) -> Result<(), CliError> {
                 traced.add(&event);
                 continue;
             }
-            print(&if json { event_value(&event).to_string() } else { event_line(&event) })?;
+            print(&if json {
+                event_value(&event).to_string()
+            } else {
+                event_line(&event)
+            })?;
         }
         if let Some(traced) = traced {
             print(&traced.finish().to_string())?;
@@ -263,11 +331,19 @@ pub fn logs(args: &LogsArgs, json: bool) -> Result<(), CliError> {
 
 /// The kind of an event as one word.
 fn kind(event: &v1::Event) -> String {
-    event.kind().as_str_name().trim_start_matches("EVENT_KIND_").to_ascii_lowercase()
+    event
+        .kind()
+        .as_str_name()
+        .trim_start_matches("EVENT_KIND_")
+        .to_ascii_lowercase()
 }
 
 fn event_line(e: &v1::Event) -> String {
-    let job = if e.job > 0 { format!("job {}: ", e.job) } else { String::new() };
+    let job = if e.job > 0 {
+        format!("job {}: ", e.job)
+    } else {
+        String::new()
+    };
     format!("{} {job}{}", time(e.at_ms), e.text)
 }
 
@@ -287,7 +363,11 @@ fn time(unix_ms: u64) -> String {
     let of_year = of_era - (365 * year + year / 4 - year / 100);
     let month = (5 * of_year + 2) / 153;
     let day = of_year - (153 * month + 2) / 5 + 1;
-    let (month, shift) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let (month, shift) = if month < 10 {
+        (month + 3, 0)
+    } else {
+        (month - 9, 1)
+    };
     format!(
         "{:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}.{:03}Z",
         year + era * 400 + shift,
@@ -313,12 +393,24 @@ mod tests {
 
     #[test]
     fn a_worker_line_says_what_it_does() {
-        let mut worker = v1::WorkerInfo { name: "a".to_owned(), ..Default::default() };
+        let mut worker = v1::WorkerInfo {
+            name: "a".to_owned(),
+            ..Default::default()
+        };
         assert!(worker_line(&worker, 10).contains(": idle;"));
-        let held = v1::HeldTile { job: 3, tile: 7, has_begun: true, cells: 5, ..Default::default() };
+        let held = v1::HeldTile {
+            job: 3,
+            tile: 7,
+            has_begun: true,
+            cells: 5,
+            ..Default::default()
+        };
         worker.tiles.push(held);
         worker.draining = true;
         let line = worker_line(&worker, 2000);
-        assert!(line.contains("tile 7 of job 3 for 2.0 s, 5 cells done; takes no more tiles"), "{line}");
+        assert!(
+            line.contains("tile 7 of job 3 for 2.0 s, 5 cells done; takes no more tiles"),
+            "{line}"
+        );
     }
 }

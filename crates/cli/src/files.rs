@@ -16,7 +16,8 @@ pub fn mesh(args: &MeshArgs, json: bool) -> Result<(), CliError> {
     let output = Output::check(&args.output, Format::Ply, Some(&args.scene))?;
     let scene = sightline_scene::load(&args.scene)?;
     output.write(|out| {
-        sightline_scene::write_mesh_ply(&scene, out).map_err(|e| CliError::writing(&args.output, &e))
+        sightline_scene::write_mesh_ply(&scene, out)
+            .map_err(|e| CliError::writing(&args.output, &e))
     })?;
     say_written(&args.output, &scene, json)
 }

@@ -58,22 +58,38 @@ impl<'a> GltfFile<'a> {
     /// The parts of a file.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, GltfError> {
         if !bytes.starts_with(b"glTF") {
-            return Ok(Self { json: text(bytes)?, chunks: None });
+            return Ok(Self {
+                json: text(bytes)?,
+                chunks: None,
+            });
         }
         let cut_off = || GltfError::Broken("the file is cut off");
-        let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b) as usize);
-        let end = word(8).filter(|end| *end <= bytes.len()).ok_or_else(cut_off)?;
+        let word = |at: usize| {
+            bytes
+                .get(at..)?
+                .first_chunk::<4>()
+                .map(|b| u32::from_le_bytes(*b) as usize)
+        };
+        let end = word(8)
+            .filter(|end| *end <= bytes.len())
+            .ok_or_else(cut_off)?;
         let (mut at, mut chunks) = (12, Vec::new());
         while at < end {
             let size = word(at).ok_or_else(cut_off)?;
-            let kind = bytes.get(at + 4..).and_then(|b| b.first_chunk::<4>()).ok_or_else(cut_off)?;
+            let kind = bytes
+                .get(at + 4..)
+                .and_then(|b| b.first_chunk::<4>())
+                .ok_or_else(cut_off)?;
             chunks.push((*kind, bytes.get(at + 8..at + 8 + size).ok_or_else(cut_off)?));
             at += 8 + size;
         }
         let (JSON, first) = chunks.first().copied().unwrap_or_default() else {
             return Err(GltfError::Broken("its first chunk is not JSON"));
         };
-        Ok(Self { json: text(first)?, chunks: Some(chunks.split_off(1)) })
+        Ok(Self {
+            json: text(first)?,
+            chunks: Some(chunks.split_off(1)),
+        })
     }
 
     /// Whether it is a GLB.
@@ -92,7 +108,9 @@ impl<'a> GltfFile<'a> {
         for key in ["buffers", "images"] {
             for item in root.elements(key)? {
                 let uri = Members::of(&self.json[item])?.string("uri");
-                if let Some(uri) = uri.filter(|uri| !uri.starts_with("data:") && !uri.contains("://")) {
+                if let Some(uri) =
+                    uri.filter(|uri| !uri.starts_with("data:") && !uri.contains("://"))
+                {
                     return Ok(Some(uri));
                 }
             }
@@ -115,15 +133,25 @@ impl<'a> GltfFile<'a> {
             return Err(GltfError::There(name));
         }
         root.elements("extensionsUsed")?;
-        let mut edits = Edits { root: &root, all: Vec::new() };
+        let mut edits = Edits {
+            root: &root,
+            all: Vec::new(),
+        };
         let value = extension(root.elements("bufferViews")?.len());
-        edits.append("extensions", ['{', '}'], &format!("{}:{value}", json!(name)));
+        edits.append(
+            "extensions",
+            ['{', '}'],
+            &format!("{}:{value}", json!(name)),
+        );
         edits.append("extensionsUsed", ['[', ']'], &json!(name).to_string());
         let mut binary = None;
         if !added.views.is_empty() {
-            let (length, start) =
-                self.binary_buffer(&root)?.ok_or(GltfError::Broken("it has no buffer in a binary chunk"))?;
-            edits.all.push((length, (start + added.bytes.len()).to_string()));
+            let (length, start) = self
+                .binary_buffer(&root)?
+                .ok_or(GltfError::Broken("it has no buffer in a binary chunk"))?;
+            edits
+                .all
+                .push((length, (start + added.bytes.len()).to_string()));
             binary = Some(start);
             let view = |range: &Range<usize>| {
                 let (at, size) = (start + range.start, range.len());
@@ -136,21 +164,32 @@ impl<'a> GltfFile<'a> {
     }
 
     /// Of the buffer that is the binary chunk: where its length stands, and where bytes can be added.
-    fn binary_buffer(&self, root: &Members<'_>) -> Result<Option<(Range<usize>, usize)>, GltfError> {
-        let Some([(BINARY, bytes), ..]) = self.chunks.as_deref() else { return Ok(None) };
-        let Some(first) = root.elements("buffers")?.into_iter().next() else { return Ok(None) };
+    fn binary_buffer(
+        &self,
+        root: &Members<'_>,
+    ) -> Result<Option<(Range<usize>, usize)>, GltfError> {
+        let Some([(BINARY, bytes), ..]) = self.chunks.as_deref() else {
+            return Ok(None);
+        };
+        let Some(first) = root.elements("buffers")?.into_iter().next() else {
+            return Ok(None);
+        };
         let buffer = Members::of(&self.json[first.clone()])?;
         if buffer.get("uri").is_some() {
             return Ok(None);
         }
-        let length = buffer.get("byteLength").ok_or(GltfError::Broken("buffer 0 has no byteLength"))?;
+        let length = buffer
+            .get("byteLength")
+            .ok_or(GltfError::Broken("buffer 0 has no byteLength"))?;
         let length = first.start + length.start..first.start + length.end;
         Ok(Some((length, bytes.len().next_multiple_of(4))))
     }
 
     /// The bytes of the file with other JSON, and with more at a place of its binary chunk.
     fn join(&self, json: &str, binary: Option<usize>, added: &[u8]) -> Result<Vec<u8>, GltfError> {
-        let Some(chunks) = &self.chunks else { return Ok(json.as_bytes().to_vec()) };
+        let Some(chunks) = &self.chunks else {
+            return Ok(json.as_bytes().to_vec());
+        };
         let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
         let mut put = |kind: [u8; 4], bytes: &[u8], fill: u8| {
             let mut bytes = bytes.to_vec();
@@ -181,7 +220,8 @@ impl<'a> GltfFile<'a> {
 
 /// The text of JSON, without what may stand around it.
 fn text(bytes: &[u8]) -> Result<&str, GltfError> {
-    let text = std::str::from_utf8(bytes).map_err(|_| GltfError::Broken("its JSON is not UTF-8"))?;
+    let text =
+        std::str::from_utf8(bytes).map_err(|_| GltfError::Broken("its JSON is not UTF-8"))?;
     Ok(text.trim_start_matches('\u{feff}').trim())
 }
 
@@ -198,11 +238,19 @@ impl<'a> Members<'a> {
             let colon = blank(text, end);
             Some((key, text[colon..].starts_with(':').then_some(colon + 1)?))
         });
-        Ok(Self { text, all: all.ok_or(GltfError::Broken("its JSON has something else for an object"))? })
+        Ok(Self {
+            text,
+            all: all.ok_or(GltfError::Broken(
+                "its JSON has something else for an object",
+            ))?,
+        })
     }
 
     fn get(&self, key: &str) -> Option<Range<usize>> {
-        self.all.iter().find(|(name, _)| name == key).map(|(_, range)| range.clone())
+        self.all
+            .iter()
+            .find(|(name, _)| name == key)
+            .map(|(_, range)| range.clone())
     }
 
     fn string(&self, key: &str) -> Option<String> {
@@ -211,10 +259,17 @@ impl<'a> Members<'a> {
 
     /// Where the elements of an array stand; none where there is no such member.
     fn elements(&self, key: &str) -> Result<Vec<Range<usize>>, GltfError> {
-        let Some(of) = self.get(key) else { return Ok(Vec::new()) };
+        let Some(of) = self.get(key) else {
+            return Ok(Vec::new());
+        };
         let all = items(&self.text[of.clone()], ['[', ']'], |at| Some(((), at)));
-        let all = all.ok_or(GltfError::Broken("its JSON has something else for an array"))?;
-        Ok(all.into_iter().map(|((), r)| of.start + r.start..of.start + r.end).collect())
+        let all = all.ok_or(GltfError::Broken(
+            "its JSON has something else for an array",
+        ))?;
+        Ok(all
+            .into_iter()
+            .map(|((), r)| of.start + r.start..of.start + r.end)
+            .collect())
     }
 }
 
@@ -224,7 +279,13 @@ fn items<T>(
     brackets: [char; 2],
     head: impl Fn(usize) -> Option<(T, usize)>,
 ) -> Option<Vec<(T, Range<usize>)>> {
-    let mut at = blank(text, blank(text, 0) + text[blank(text, 0)..].strip_prefix(brackets[0]).map(|_| 1)?);
+    let mut at = blank(
+        text,
+        blank(text, 0)
+            + text[blank(text, 0)..]
+                .strip_prefix(brackets[0])
+                .map(|_| 1)?,
+    );
     let mut all = Vec::new();
     if text[at..].starts_with(brackets[1]) {
         return Some(all);
@@ -267,7 +328,10 @@ impl Edits<'_> {
         let edit = match self.root.get(key) {
             Some(Range { start, end }) => {
                 let empty = self.root.text[start + 1..end - 1].trim().is_empty();
-                (end - 1..end - 1, format!("{}{item}", if empty { "" } else { "," }))
+                (
+                    end - 1..end - 1,
+                    format!("{}{item}", if empty { "" } else { "," }),
+                )
             }
             // The root is never empty: every glTF names its version.
             None => (1..1, format!("{}:{open}{item}{close},", json!(key))),
@@ -292,7 +356,12 @@ mod tests {
     use super::*;
 
     fn glb(json: &str, chunks: &[([u8; 4], &[u8])]) -> Vec<u8> {
-        GltfFile { json, chunks: Some(chunks.to_vec()) }.join(json, None, &[]).unwrap()
+        GltfFile {
+            json,
+            chunks: Some(chunks.to_vec()),
+        }
+        .join(json, None, &[])
+        .unwrap()
     }
 
     fn added(sizes: &[u8]) -> Added {
@@ -313,7 +382,8 @@ mod tests {
                         ,\"extensionsUsed\":[\"Y\",\"X\"], \"b\":\"},]\" }";
         assert_eq!(out, expected);
         let out = with(b"\xef\xbb\xbf{\"asset\":{},\"extensions\":{}}", &[]).unwrap();
-        let expected = "{\"extensionsUsed\":[\"X\"],\"asset\":{},\"extensions\":{\"X\":{\"view\":0}}}";
+        let expected =
+            "{\"extensionsUsed\":[\"X\"],\"asset\":{},\"extensions\":{\"X\":{\"view\":0}}}";
         assert_eq!(String::from_utf8(out).unwrap(), expected);
     }
 
@@ -325,19 +395,30 @@ mod tests {
         let parts = GltfFile::parse(&out).unwrap();
         let json: Value = serde_json::from_str(parts.json).unwrap();
         assert_eq!(json["buffers"], json!([{"byteLength": 16}]));
-        let view = |at: usize, size: usize| json!({"buffer": 0, "byteOffset": at, "byteLength": size});
+        let view =
+            |at: usize, size: usize| json!({"buffer": 0, "byteOffset": at, "byteLength": size});
         assert_eq!(json["bufferViews"], json!([{}, view(8, 3), view(12, 4)]));
         assert_eq!(json["extensions"]["X"]["view"], 1);
         let chunks = parts.chunks.unwrap();
-        assert_eq!(chunks[0].1, [9, 9, 9, 9, 9, 0, 0, 0, 1, 2, 3, 0, 1, 2, 3, 4]);
+        assert_eq!(
+            chunks[0].1,
+            [9, 9, 9, 9, 9, 0, 0, 0, 1, 2, 3, 0, 1, 2, 3, 4]
+        );
         assert_eq!((chunks[1], out.len() % 4), ((*b"MORE", &b"more"[..]), 0));
-        assert_eq!(u32::from_le_bytes(*out[8..].first_chunk().unwrap()) as usize, out.len());
+        assert_eq!(
+            u32::from_le_bytes(*out[8..].first_chunk().unwrap()) as usize,
+            out.len()
+        );
     }
 
     #[test]
     fn without_a_binary_chunk_there_is_no_place_for_bytes() {
         let beside = glb("{\"buffers\":[{\"uri\":\"a.bin\"}]}", &[(BINARY, &[0; 4])]);
-        for file in [b"{\"asset\":{}}".to_vec(), glb("{\"asset\":{}}", &[]), beside] {
+        for file in [
+            b"{\"asset\":{}}".to_vec(),
+            glb("{\"asset\":{}}", &[]),
+            beside,
+        ] {
             assert!(!GltfFile::parse(&file).unwrap().takes_views().unwrap());
             assert!(matches!(with(&file, &[3]), Err(GltfError::Broken(_))));
             assert!(with(&file, &[]).is_ok());
@@ -349,9 +430,15 @@ mod tests {
         let broken = |bytes: &[u8]| matches!(with(bytes, &[1]).unwrap_err(), GltfError::Broken(_));
         let whole = glb("{\"asset\":{}}", &[(BINARY, &[1, 2, 3, 4])]);
         assert!((4..whole.len()).all(|end| broken(&whole[..end])));
-        for text in
-            ["", "[]", "{\"a\":}", "{\"a\" 1}", "{\"a\":1", "{\"extensions\":[]}", "{\"bufferViews\":3}"]
-        {
+        for text in [
+            "",
+            "[]",
+            "{\"a\":}",
+            "{\"a\" 1}",
+            "{\"a\":1",
+            "{\"extensions\":[]}",
+            "{\"bufferViews\":3}",
+        ] {
             assert!(broken(text.as_bytes()), "{text}");
         }
         let there = with(b"{\"extensions\":{\"Y\":1,\"X\":{}}}", &[]).unwrap_err();
@@ -361,7 +448,10 @@ mod tests {
     #[test]
     fn files_beside_it_are_found() {
         let needs = |text: &str| GltfFile::parse(text.as_bytes()).unwrap().needs().unwrap();
-        assert_eq!(needs("{\"buffers\":[{\"uri\":\"data:,\"}],\"images\":[{\"bufferView\":0}]}"), None);
+        assert_eq!(
+            needs("{\"buffers\":[{\"uri\":\"data:,\"}],\"images\":[{\"bufferView\":0}]}"),
+            None
+        );
         let image = "{\"images\":[{\"uri\":\"a%20b.png\"}]}";
         assert_eq!(needs(image).as_deref(), Some("a%20b.png"));
     }

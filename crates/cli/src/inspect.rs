@@ -80,18 +80,27 @@ struct CellToCell {
 
 impl CellToCell {
     fn of(pvs: &Pvs) -> Result<Option<Self>, CliError> {
-        let Some(found) = pvs.cell_pairs()? else { return Ok(None) };
+        let Some(found) = pvs.cell_pairs()? else {
+            return Ok(None);
+        };
         let cells = u64::from(pvs.cells());
-        let reached = (0..pvs.cells()).map(|c| pvs.is_reached(c)).collect::<Result<Vec<_>, _>>()?;
+        let reached = (0..pvs.cells())
+            .map(|c| pvs.is_reached(c))
+            .collect::<Result<Vec<_>, _>>()?;
         let reached = reached.iter().filter(|r| **r).count() as u64;
-        let own = (0..pvs.cells()).filter(|c| found.visible.has(*c, *c)).count() as u64;
+        let own = (0..pvs.cells())
+            .filter(|c| found.visible.has(*c, *c))
+            .count() as u64;
         let pairs = found.visible.pairs() - own;
         let all = reached * (cells - reached) + reached * reached.saturating_sub(1) / 2;
         let bounds = cells::pair_bounds(pvs)?;
         Ok(Some(Self {
             pairs,
             density: pairs as f64 / all.max(1) as f64,
-            undecided: found.undecided.as_ref().map_or(0, sightline_pvs::Relation::pairs),
+            undecided: found
+                .undecided
+                .as_ref()
+                .map_or(0, sightline_pvs::Relation::pairs),
             bytes: pvs.pair_bytes(),
             greatest_bound: bounds.as_ref().map(|b| b.greatest),
             mean_bound: bounds.as_ref().map(|b| b.mean),
@@ -131,7 +140,12 @@ impl Summary {
             .map(|cell| {
                 let (visible, undecided) = (pvs.visible_count(cell)?, pvs.undecided_count(cell)?);
                 let sizes = (u64::from(visible), u64::from(undecided));
-                Ok((sizes.0, sizes.1, pvs.is_set_aside(cell)?, pvs.is_reached(cell)?))
+                Ok((
+                    sizes.0,
+                    sizes.1,
+                    pvs.is_set_aside(cell)?,
+                    pvs.is_reached(cell)?,
+                ))
             })
             .collect();
         let sets: Vec<(u64, u64, bool, bool)> = sets.into_iter().collect::<Result<_, _>>()?;
@@ -145,7 +159,10 @@ impl Summary {
         let undecided: u64 = sets.iter().map(|s| s.1).sum();
         let aside = sets.iter().filter(|s| s.2).count() as u32;
         // A cell that was set aside shows all triangles; this does not count as over the budget.
-        let over = sets.iter().filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b)).count();
+        let over = sets
+            .iter()
+            .filter(|s| !s.2 && budget.is_some_and(|b| s.0 > b))
+            .count();
         let bounds = cells::bounds(&pvs)?;
         let [cells_unfinished, cells_spared] = cells::unfinished_and_spared(&pvs)?;
         let [file_bytes, visible, undecided_bytes] = pvs.file_bytes();
@@ -178,7 +195,11 @@ impl Summary {
             cells_unfinished,
             cells_spared,
             cell_to_cell: CellToCell::of(&pvs)?,
-            decided: if pvs.method() == "aggressive" { None } else { Some(cells::decided(&pvs)?) },
+            decided: if pvs.method() == "aggressive" {
+                None
+            } else {
+                Some(cells::decided(&pvs)?)
+            },
             cells_over_budget: budget.map(|_| over),
             in_region: pvs.region().is_some(),
             info,
@@ -187,7 +208,13 @@ impl Summary {
 
     /// The summary as lines for people.
     pub fn lines(&self) -> Vec<String> {
-        let text = |key: &str| self.info.get(key).and_then(|v| v.as_str()).unwrap_or("?").to_owned();
+        let text = |key: &str| {
+            self.info
+                .get(key)
+                .and_then(|v| v.as_str())
+                .unwrap_or("?")
+                .to_owned()
+        };
         let mut lines = vec![
             format!(
                 "{} over {} in {}, method {}",
@@ -208,7 +235,11 @@ impl Summary {
                     plural(self.cells as usize, "cell")
                 ),
             },
-            format!("view box {} to {}", corner(&self.view_box["min"]), corner(&self.view_box["max"])),
+            format!(
+                "view box {} to {}",
+                corner(&self.view_box["min"]),
+                corner(&self.view_box["max"])
+            ),
             opening::kinds_in_words(&opening::counts_of(&self.info)).join("; "),
             match self.info["cull_back_faces"] == true {
                 true => opening::sides_in_words(None),
@@ -222,7 +253,11 @@ impl Summary {
                     self.mean_visible_fraction * 100.0,
                     self.min_visible,
                     self.max_visible,
-                    if self.decided.is_some() { "; undecided: 0" } else { "" },
+                    if self.decided.is_some() {
+                        "; undecided: 0"
+                    } else {
+                        ""
+                    },
                 ),
                 undecided => format!(
                     "visible from a cell: between {:.0} and {:.0} triangles on average; \
@@ -269,7 +304,10 @@ impl Summary {
         lines.extend(self.cell_to_cell.as_ref().map(|c| {
             let bound = match (c.greatest_bound, self.decided.is_some()) {
                 (Some(bound), false) => {
-                    format!("; missed at most {:.4} % in any cell, at 95 %", bound * 100.0)
+                    format!(
+                        "; missed at most {:.4} % in any cell, at 95 %",
+                        bound * 100.0
+                    )
                 }
                 _ => String::new(),
             };
@@ -298,7 +336,10 @@ impl Summary {
                 );
             }
             if d.out_of_time > 0 {
-                lines.push(format!("NOT FINISHED: the time ended first in {} cells", d.cells_out_of_time));
+                lines.push(format!(
+                    "NOT FINISHED: the time ended first in {} cells",
+                    d.cells_out_of_time
+                ));
             }
         } else if let Some(d) = &self.decided {
             lines.push(format!(
@@ -326,7 +367,10 @@ impl Summary {
                 Some(1..) => "the time budget ended first",
                 _ => "sampling gave up after many rounds; info --cells lists the hardest cells",
             };
-            lines.push(format!("NOT FINISHED: {} of {} cells: {why}", self.cells_unfinished, self.cells));
+            lines.push(format!(
+                "NOT FINISHED: {} of {} cells: {why}",
+                self.cells_unfinished, self.cells
+            ));
         }
         if self.cells_spared > 0 && self.decided.is_none() {
             lines.push(format!(
@@ -343,7 +387,10 @@ impl Summary {
             } else {
                 "they are at the deepest level (--max-depth) or too thin to be halved"
             };
-            lines.push(format!("over the triangle budget: {over} of {} cells; {why}", self.cells));
+            lines.push(format!(
+                "over the triangle budget: {over} of {} cells; {why}",
+                self.cells
+            ));
         }
         lines.push(format!("numerics profile {}", text("profile")));
         lines
@@ -382,10 +429,16 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
     for (i, o) in pvs.objects().iter().enumerate().take(OBJECTS_SHOWN) {
         let last = u64::from(o.first) + u64::from(o.count);
         let name = printable::name(&o.name);
-        lines.push(format!("object {i}: {name} (triangles {}..{last})", o.first));
+        lines.push(format!(
+            "object {i}: {name} (triangles {}..{last})",
+            o.first
+        ));
     }
     if pvs.objects().len() > OBJECTS_SHOWN {
-        lines.push(format!("… and {} more objects; --json lists all", pvs.objects().len() - OBJECTS_SHOWN));
+        lines.push(format!(
+            "… and {} more objects; --json lists all",
+            pvs.objects().len() - OBJECTS_SHOWN
+        ));
     }
     print(&lines.join("\n"))
 }
@@ -393,7 +446,12 @@ pub fn info(args: &InfoArgs, json: bool) -> Result<(), CliError> {
 /// A point in text. Its coordinates come from single precision, so they are printed in single precision.
 fn corner(of: &serde_json::Value) -> String {
     let coordinates = of.as_array().map_or(&[][..], |c| c);
-    let short: Vec<String> =
-        coordinates.iter().map(|c| c.as_f64().map_or("?".to_owned(), |c| (c as f32).to_string())).collect();
+    let short: Vec<String> = coordinates
+        .iter()
+        .map(|c| {
+            c.as_f64()
+                .map_or("?".to_owned(), |c| (c as f32).to_string())
+        })
+        .collect();
     format!("({})", short.join(", "))
 }

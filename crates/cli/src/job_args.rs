@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use clap::Args;
 use sightline_model::{
-    BackendChoice, CellToCell, ErrorMeasure, Granularity, JobSpec, MOST_LINE_DEPTH, Method, Sampler,
-    SamplingParams, SupersetChoice,
+    BackendChoice, CellToCell, ErrorMeasure, Granularity, JobSpec, MOST_LINE_DEPTH, Method,
+    Sampler, SamplingParams, SupersetChoice,
 };
 use sightline_sampling::embree;
 use sightline_scene::{Aabb, Scene};
@@ -54,7 +54,12 @@ pub struct JobArgs {
     #[arg(long, value_name = "T")]
     triangle_budget: Option<u32>,
     /// Deepest level of the adaptive tree, 1 to 22.
-    #[arg(long, value_name = "D", default_value_t = 12, requires = "triangle_budget")]
+    #[arg(
+        long,
+        value_name = "D",
+        default_value_t = 12,
+        requires = "triangle_budget"
+    )]
     max_depth: u32,
     /// How visibility is sampled. Default: lines; for adaptive trees deeper than 12: cubes.
     #[arg(long, value_parser = choice::<Sampler>())]
@@ -206,12 +211,16 @@ impl JobArgs {
             );
         }
         // Where no graphics card is found, auto means Embree.
-        if matches!(self.backend, BackendChoice::Auto | BackendChoice::Cpu) && method != Method::Portals {
+        if matches!(self.backend, BackendChoice::Auto | BackendChoice::Cpu)
+            && method != Method::Portals
+        {
             let narrow = |e| CliError::Input(format!("{}: {e}", path.display()));
             embree::check_width(scene).map_err(narrow)?;
         }
         if self.certificates && method == Method::Aggressive {
-            return refuse("--certificates needs --method exact or verified: sampling alone proves nothing");
+            return refuse(
+                "--certificates needs --method exact or verified: sampling alone proves nothing",
+            );
         }
         if method != Method::Aggressive {
             opening::without_masks(scene)?;
@@ -233,7 +242,9 @@ impl JobArgs {
             );
         }
         if self.min_share.is_some() && (sampler != Sampler::Lines || self.max_error.is_some()) {
-            return refuse("--min-share needs --sampler lines, and cannot be given with --max-error");
+            return refuse(
+                "--min-share needs --sampler lines, and cannot be given with --max-error",
+            );
         }
         if !scene.sides().are_both() && method != Method::Aggressive {
             return refuse(
@@ -252,7 +263,10 @@ impl JobArgs {
         let mut spec = JobSpec {
             scene: scene.digest().0,
             division: match self.triangle_budget {
-                Some(budget) => Division::Adaptive { budget, max_depth: self.max_depth },
+                Some(budget) => Division::Adaptive {
+                    budget,
+                    max_depth: self.max_depth,
+                },
                 None => Division::Grid(match (self.cell_size, self.cells) {
                     (Some(size), _) => cells_of_size(view_box, size),
                     (None, Some(Cells::Grid(cells))) => cells,
@@ -267,20 +281,30 @@ impl JobArgs {
             } else {
                 self.block_cells
                     .filter(|_| sampler != Sampler::Cubes)
-                    .unwrap_or_else(|| sightline_model::default_block_cells(scene.len(), &sampling, method))
+                    .unwrap_or_else(|| {
+                        sightline_model::default_block_cells(scene.len(), &sampling, method)
+                    })
             },
             sampling,
-            backend: if method == Method::Portals { BackendChoice::None } else { self.backend },
+            backend: if method == Method::Portals {
+                BackendChoice::None
+            } else {
+                self.backend
+            },
             seed: self.seed,
             // At least one millisecond, because 0 stands for no limit.
-            time_budget_ms: self.time_budget.map_or(0, |d| (d.as_millis() as u64).max(1)),
+            time_budget_ms: self
+                .time_budget
+                .map_or(0, |d| (d.as_millis() as u64).max(1)),
             method,
             certificates: self.certificates,
             viewpoints: None,
             up: self.places.up(),
             ambient: None,
         };
-        spec.sampling.check().map_err(|e| CliError::Usage(e.to_string()))?;
+        spec.sampling
+            .check()
+            .map_err(|e| CliError::Usage(e.to_string()))?;
         let lattice = spec.lattice().map_err(|e| match (self.places.view_box.first(), e) {
             (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
                 let along = sightline_viewcells::axis_name(axis);
@@ -309,12 +333,19 @@ impl JobArgs {
         let walls = !self.certificates && sampler != Sampler::Cubes;
         match walled {
             Some(most) => {
-                (spec.division, spec.viewpoints) = self.places.along_walls(scene, view_box, most)?;
+                (spec.division, spec.viewpoints) =
+                    self.places.along_walls(scene, view_box, most)?;
             }
-            None => spec.viewpoints = self.places.marks(path, scene, (&spec.division, &lattice), walls)?,
+            None => {
+                spec.viewpoints =
+                    self.places
+                        .marks(path, scene, (&spec.division, &lattice), walls)?
+            }
         }
         spec.check().map_err(|e| CliError::Usage(e.to_string()))?;
-        let moved = spec.moved_by_rounding().map_err(|e| CliError::Usage(e.to_string()))?;
+        let moved = spec
+            .moved_by_rounding()
+            .map_err(|e| CliError::Usage(e.to_string()))?;
         if moved > MUCH_MOVED {
             say(&format!(
                 "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
@@ -330,14 +361,19 @@ impl JobArgs {
 
     /// The most boxes along walls, if these are the cells.
     fn walled(&self, sampler: Sampler) -> Result<Option<usize>, CliError> {
-        let Some(Cells::Walls(most)) = self.cells else { return Ok(None) };
+        let Some(Cells::Walls(most)) = self.cells else {
+            return Ok(None);
+        };
         let given = [
             ("--sampler cubes", sampler == Sampler::Cubes),
             ("--certificates", self.certificates),
             ("--cell-to-cell on", self.cell_to_cell == CellToCell::On),
             ("--block-cells", self.block_cells.is_some()),
         ];
-        let given: Vec<&str> = given.iter().filter_map(|(flag, given)| given.then_some(*flag)).collect();
+        let given: Vec<&str> = given
+            .iter()
+            .filter_map(|(flag, given)| given.then_some(*flag))
+            .collect();
         if given.is_empty() {
             return Ok(Some(most));
         }
@@ -360,9 +396,15 @@ impl JobArgs {
             ("--contributions", self.contributions),
             ("--certificates", self.certificates),
             ("--cell-to-cell on", self.cell_to_cell == CellToCell::On),
-            ("--backend", !matches!(self.backend, BackendChoice::Auto | BackendChoice::None)),
+            (
+                "--backend",
+                !matches!(self.backend, BackendChoice::Auto | BackendChoice::None),
+            ),
         ];
-        let given: Vec<&str> = given.iter().filter_map(|(flag, given)| given.then_some(*flag)).collect();
+        let given: Vec<&str> = given
+            .iter()
+            .filter_map(|(flag, given)| given.then_some(*flag))
+            .collect();
         if given.is_empty() {
             return Ok(());
         }
@@ -397,7 +439,10 @@ impl JobArgs {
         let mut unused = Vec::new();
         if sampler == Sampler::Lines {
             params.max_error = self.max_error;
-            params.target_error = self.target_error.or(self.max_error).unwrap_or(params.target_error);
+            params.target_error = self
+                .target_error
+                .or(self.max_error)
+                .unwrap_or(params.target_error);
         } else {
             unused.extend(self.target_error.map(|_| "--target-error"));
         }
@@ -416,8 +461,15 @@ impl JobArgs {
         }
         if !unused.is_empty() {
             let name = sampler.to_string();
-            let tree = if self.triangle_budget.is_some() { " in an adaptive tree" } else { "" };
-            say(&format!("note: the sampler {name}{tree} makes no use of {}", unused.join(", ")));
+            let tree = if self.triangle_budget.is_some() {
+                " in an adaptive tree"
+            } else {
+                ""
+            };
+            say(&format!(
+                "note: the sampler {name}{tree} makes no use of {}",
+                unused.join(", ")
+            ));
         }
         Ok(params)
     }
@@ -426,7 +478,8 @@ impl JobArgs {
 pub fn parse_duration(text: &str) -> Result<Duration, String> {
     /// A year.
     const MOST: Duration = Duration::from_secs(366 * 24 * 3600);
-    let wrong = || "give a duration of at most a year, as in 500ms, 30s (or 30), 5m or 2h".to_owned();
+    let wrong =
+        || "give a duration of at most a year, as in 500ms, 30s (or 30), 5m or 2h".to_owned();
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {
         "ms" => 1e-3,
@@ -436,19 +489,27 @@ pub fn parse_duration(text: &str) -> Result<Duration, String> {
         _ => return Err(wrong()),
     };
     let seconds = digits.trim().parse::<f64>().map_err(|_| wrong())? * unit;
-    Duration::try_from_secs_f64(seconds).ok().filter(|d| !d.is_zero() && *d <= MOST).ok_or_else(wrong)
+    Duration::try_from_secs_f64(seconds)
+        .ok()
+        .filter(|d| !d.is_zero() && *d <= MOST)
+        .ok_or_else(wrong)
 }
 
 /// The length of a cell's side.
 fn parse_size(text: &str) -> Result<f64, String> {
-    let size = text.parse::<f64>().ok().filter(|s| s.is_finite() && *s > 0.0);
+    let size = text
+        .parse::<f64>()
+        .ok()
+        .filter(|s| s.is_finite() && *s > 0.0);
     size.ok_or_else(|| "give a length above 0, as in 2.5".to_owned())
 }
 
 /// The fewest cells along each axis of a box whose sides are at most `size`.
 fn cells_of_size(of: Aabb, size: f64) -> [u32; 3] {
     // The cast saturates; a grid that is too fine is refused with its numbers.
-    (of.max.as_dvec3() - of.min.as_dvec3()).to_array().map(|extent| ((extent / size).ceil() as u32).max(1))
+    (of.max.as_dvec3() - of.min.as_dvec3())
+        .to_array()
+        .map(|extent| ((extent / size).ceil() as u32).max(1))
 }
 
 /// Which cells there are.
@@ -464,13 +525,23 @@ enum Cells {
 fn parse_cells(text: &str) -> Result<Cells, String> {
     if let Some(most) = text.trim().strip_prefix("walls:") {
         let most = most.parse().ok().filter(|n| (1..=MOST_BOXES).contains(n));
-        return most.map(Cells::Walls).ok_or_else(|| format!("give walls:N with N from 1 to {MOST_BOXES}"));
+        return most
+            .map(Cells::Walls)
+            .ok_or_else(|| format!("give walls:N with N from 1 to {MOST_BOXES}"));
     }
-    parse_grid(text).map(Cells::Grid).map_err(|e| format!("{e}, or walls:N for boxes along walls"))
+    parse_grid(text)
+        .map(Cells::Grid)
+        .map_err(|e| format!("{e}, or walls:N for boxes along walls"))
 }
 
 /// A grid of cells, as in 8x8x8.
 pub fn parse_grid(text: &str) -> Result<[u32; 3], String> {
-    let parts = text.split(['x', 'X']).map(|p| p.trim().parse()).collect::<Result<Vec<u32>, _>>();
-    parts.ok().and_then(|p| p.try_into().ok()).ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
+    let parts = text
+        .split(['x', 'X'])
+        .map(|p| p.trim().parse())
+        .collect::<Result<Vec<u32>, _>>();
+    parts
+        .ok()
+        .and_then(|p| p.try_into().ok())
+        .ok_or_else(|| "give three numbers as in 8x8x8".to_owned())
 }

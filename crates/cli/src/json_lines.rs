@@ -49,7 +49,11 @@ impl JsonLines {
             }
             Box::new(file)
         };
-        let name = if is_stdin { "stdin".to_owned() } else { path.display().to_string() };
+        let name = if is_stdin {
+            "stdin".to_owned()
+        } else {
+            path.display().to_string()
+        };
         Ok(Self {
             name,
             reader: BufReader::with_capacity(BUFFER, source),
@@ -68,7 +72,9 @@ impl JsonLines {
     ) -> (Vec<Q>, Option<CliError>) {
         let mut queries = Vec::new();
         self.numbers.clear();
-        while queries.is_empty() || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n')) {
+        while queries.is_empty()
+            || (queries.len() < AT_A_TIME && self.reader.buffer().contains(&b'\n'))
+        {
             match self.next(&check) {
                 Ok(Some(query)) => {
                     queries.push(query);
@@ -95,18 +101,28 @@ impl JsonLines {
                 return Ok(None);
             }
             self.lines += 1;
-            let bad = |why: String| CliError::Input(format!("{}, line {}: {why}", self.name, self.lines));
+            let bad =
+                |why: String| CliError::Input(format!("{}, line {}: {why}", self.name, self.lines));
             if read as u64 == LONGEST_LINE {
-                return Err(bad(format!("it is longer than {LONGEST_LINE} bytes; split the query")));
+                return Err(bad(format!(
+                    "it is longer than {LONGEST_LINE} bytes; split the query"
+                )));
             }
             // Some editors begin a file with a mark of its encoding.
-            let text = text.strip_prefix(BYTE_ORDER_MARK).filter(|_| self.lines == 1).unwrap_or(&text);
+            let text = text
+                .strip_prefix(BYTE_ORDER_MARK)
+                .filter(|_| self.lines == 1)
+                .unwrap_or(&text);
             let text = text.trim_ascii();
             if text.is_empty() {
                 continue;
             }
-            let no_query =
-                |why: String| bad(format!("it is no query ({why}); give {} on one line", self.example));
+            let no_query = |why: String| {
+                bad(format!(
+                    "it is no query ({why}); give {} on one line",
+                    self.example
+                ))
+            };
             if text[0] == b'[' {
                 // Fields in their order would be taken.
                 return Err(no_query("it is a list".to_owned()));

@@ -99,7 +99,11 @@ impl Args for KindArgs {
                 .help(help);
             // `--opaque` alone is about everything.
             let all = kind == Kind::Opaque;
-            command.arg(if all { arg.num_args(0..=1).default_missing_value("*") } else { arg.num_args(1) })
+            command.arg(if all {
+                arg.num_args(0..=1).default_missing_value("*")
+            } else {
+                arg.num_args(1)
+            })
         });
         command.arg(alpha).arg(
             Arg::new(CULL).long(CULL).action(ArgAction::SetTrue).help_heading(HEADING).help(
@@ -120,12 +124,21 @@ impl FromArgMatches for KindArgs {
         let mut rules: Vec<(usize, Rule)> = Vec::new();
         for (kind, _) in FLAGS {
             let given = matches.get_many::<Rule>(kind.name()).unwrap_or_default();
-            rules.extend(matches.indices_of(kind.name()).unwrap_or_default().zip(given.cloned()));
+            rules.extend(
+                matches
+                    .indices_of(kind.name())
+                    .unwrap_or_default()
+                    .zip(given.cloned()),
+            );
         }
         rules.sort_by_key(|(at, _)| *at);
         let rules = rules.into_iter().map(|(_, rule)| rule).collect();
         let [alpha_textures, cull_back_faces] = [ALPHA, CULL].map(|flag| matches.get_flag(flag));
-        Ok(Self { rules, alpha_textures, cull_back_faces })
+        Ok(Self {
+            rules,
+            alpha_textures,
+            cull_back_faces,
+        })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
@@ -149,10 +162,23 @@ mod tests {
 
     #[test]
     fn rules_keep_the_order_of_the_flags() {
-        let line =
-            ["x", "a.glb", "--see-through", "glass*", "--opaque", "--see-through=*pane", "--moving", "door"];
+        let line = [
+            "x",
+            "a.glb",
+            "--see-through",
+            "glass*",
+            "--opaque",
+            "--see-through=*pane",
+            "--moving",
+            "door",
+        ];
         let line = Line::try_parse_from(line).unwrap();
-        let rules: Vec<(Kind, String)> = line.kinds.rules.into_iter().map(|r| (r.kind, r.glob)).collect();
+        let rules: Vec<(Kind, String)> = line
+            .kinds
+            .rules
+            .into_iter()
+            .map(|r| (r.kind, r.glob))
+            .collect();
         let expected = [
             (Kind::SeeThrough, "glass*"),
             (Kind::Opaque, "*"),
@@ -162,15 +188,21 @@ mod tests {
         assert_eq!(rules, expected.map(|(k, g)| (k, g.to_owned())));
         assert_eq!(line.scene, "a.glb");
         assert!(!line.kinds.cull_back_faces);
-        let culled = Line::try_parse_from(["x", "a.glb", "--cull-back-faces"]).unwrap().kinds;
+        let culled = Line::try_parse_from(["x", "a.glb", "--cull-back-faces"])
+            .unwrap()
+            .kinds;
         assert!(culled.cull_back_faces && culled.rules.is_empty() && !culled.is_empty());
         assert!(Line::try_parse_from(["x", "a.glb", "--moving", "a["]).is_err());
-        for (given, glob) in
-            [(&["x", "--opaque", "a.GLB"][..], "*"), (&["x", "--opaque", "wall*", "a.GLB"], "wall*")]
-        {
+        for (given, glob) in [
+            (&["x", "--opaque", "a.GLB"][..], "*"),
+            (&["x", "--opaque", "wall*", "a.GLB"], "wall*"),
+        ] {
             let line = with_opaque_alone(given.iter().map(OsString::from));
             let line = Line::try_parse_from(line).unwrap();
-            assert_eq!((line.scene.as_str(), line.kinds.rules[0].glob.as_str()), ("a.GLB", glob));
+            assert_eq!(
+                (line.scene.as_str(), line.kinds.rules[0].glob.as_str()),
+                ("a.GLB", glob)
+            );
         }
         let line = Line::try_parse_from(["x", "--alpha-textures", "a.glb"]).unwrap();
         assert!(line.kinds.alpha_textures && !line.kinds.is_empty() && line.kinds.rules.is_empty());

@@ -108,7 +108,9 @@ pub fn command() -> ExitCode {
     std::panic::catch_unwind(of_arguments).unwrap_or_else(|panic| {
         // The hook has printed the message.
         if Exhausted::in_panic(&*panic).is_none() {
-            progress::say("error: a fault of the program ended this command; report the message above");
+            progress::say(
+                "error: a fault of the program ended this command; report the message above",
+            );
         }
         ExitCode::from(INTERNAL)
     })
@@ -141,7 +143,11 @@ fn of_arguments() -> ExitCode {
             }
             None => {
                 progress::say(&format!("error: {e}"));
-                if is_bake { e.exit_code_of_bake() } else { e.exit_code() }
+                if is_bake {
+                    e.exit_code_of_bake()
+                } else {
+                    e.exit_code()
+                }
             }
         },
     }

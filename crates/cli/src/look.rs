@@ -12,9 +12,12 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let [tets, pvs] = [Format::Tets, Format::Pvs].map(Format::magic);
     let mut begin = Vec::new();
     // What cannot be read is told by who would have answered.
-    let read =
-        std::fs::File::open(&args.file).and_then(|f| f.take(tets.len() as u64).read_to_end(&mut begin));
-    let is_named = args.file.extension().is_some_and(|e| e.eq_ignore_ascii_case("tets"));
+    let read = std::fs::File::open(&args.file)
+        .and_then(|f| f.take(tets.len() as u64).read_to_end(&mut begin));
+    let is_named = args
+        .file
+        .extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("tets"));
     if read.is_ok() && begin != tets && !begin.starts_with(pvs) && !is_named {
         return Err(CliError::Input(format!(
             "{} is neither a file of `sightline tetra` (.tets) nor a result (.pvs); make one of these \

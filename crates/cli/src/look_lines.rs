@@ -45,7 +45,10 @@ pub fn answer<L: DeserializeOwned, Q>(
             let answer = match answer {
                 Ok(answer) => answer,
                 Err(why) => {
-                    break 'all Err(CliError::Input(format!("{}, line {number}: {why}", input.name)));
+                    break 'all Err(CliError::Input(format!(
+                        "{}, line {number}: {why}",
+                        input.name
+                    )));
                 }
             };
             medians.answers += 1;
@@ -62,7 +65,9 @@ pub fn answer<L: DeserializeOwned, Q>(
         }
     };
     if ended.is_err() {
-        say(&format!("only the {items} before the bad line were answered"));
+        say(&format!(
+            "only the {items} before the bad line were answered"
+        ));
     }
     (ended, medians)
 }
@@ -119,7 +124,10 @@ mod tests {
     fn steps_are_in_order_and_hold_their_numbers() {
         for number in (0..5000).chain([u64::MAX / 3, u64::MAX - 1, u64::MAX]) {
             let least = least_of(step_of(number));
-            assert!(least <= number && number - least <= number >> EXACT, "{number} {least}");
+            assert!(
+                least <= number && number - least <= number >> EXACT,
+                "{number} {least}"
+            );
             assert_eq!(step_of(least), step_of(number));
             assert!(number == u64::MAX || step_of(number) <= step_of(number + 1));
         }

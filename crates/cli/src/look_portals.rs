@@ -54,14 +54,18 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
         ))
     })?;
     let doors = looker.doors();
-    let example = r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60],"shut":["door"]}"#;
+    let example =
+        r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60],"shut":["door"]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
     let check = |line: Line| {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
                 [] => format!("there is no door {name:?}: the result has no doors"),
                 _ => {
-                    format!("there is no door {name:?}; the doors are {}", printable::name(&doors.join(", ")))
+                    format!(
+                        "there is no door {name:?}; the doors are {}",
+                        printable::name(&doors.join(", "))
+                    )
                 }
             })
         };
@@ -70,15 +74,25 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     };
     let mut answer = |(line, shut): (Line, Vec<usize>)| {
         (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
-        let view = View { eye: line.eye, direction: line.dir, up: line.up, fov: line.fov };
+        let view = View {
+            eye: line.eye,
+            direction: line.dir,
+            up: line.up,
+            fov: line.fov,
+        };
         let start = Instant::now();
         let cell = looker.look(&view);
         let nanos = start.elapsed().as_nanos() as u64;
         let cell = seen_from(&pvs, &view, cell)?;
         let share = looker.visible().len() as f64 / looker.of_cell().max(1) as f64;
         let micros = nanos as f64 / 1e3;
-        let line = json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
-        Ok(Answer { line, nanos, count: (share * SHARES).round() as u64 })
+        let line =
+            json!({"id": line.id, "cell": cell, "visible": looker.visible(), "micros": micros});
+        Ok(Answer {
+            line,
+            nanos,
+            count: (share * SHARES).round() as u64,
+        })
     };
     let answers = |queries: Vec<(Line, Vec<usize>)>| {
         let mut all = Vec::with_capacity(queries.len());
@@ -112,10 +126,15 @@ fn seen_from(pvs: &Pvs, view: &View, cell: Result<Option<u32>, LookError>) -> Re
             Some(_) => "the walls that enclose the points of --reachable-from".to_owned(),
             None => format!("the view box, {lo:?} to {hi:?}"),
         };
-        return Err(format!("the eye {:?} is outside of {of}; give one inside", view.eye));
+        return Err(format!(
+            "the eye {:?} is outside of {of}; give one inside",
+            view.eye
+        ));
     };
     match pvs.is_reached(cell).map_err(|e| e.to_string())? {
         true => Ok(cell),
-        false => Err(format!("no viewpoint can be in cell {cell}; the bake left it out")),
+        false => Err(format!(
+            "no viewpoint can be in cell {cell}; the bake left it out"
+        )),
     }
 }

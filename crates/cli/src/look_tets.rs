@@ -76,9 +76,20 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let mode = mode(args)?;
     serve::use_threads(args.threads.map_or(1, usize::from))?;
     let tets = open(&args.file)?;
-    let has_unseen = tets.contents().surfaces.flags.iter().any(|f| f & (BLOCKS | SHOWS) == BLOCKS);
-    let answering = Answering { tets: &tets, mode, args, has_unseen };
-    let example = r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[]}"#;
+    let has_unseen = tets
+        .contents()
+        .surfaces
+        .flags
+        .iter()
+        .any(|f| f & (BLOCKS | SHOWS) == BLOCKS);
+    let answering = Answering {
+        tets: &tets,
+        mode,
+        args,
+        has_unseen,
+    };
+    let example =
+        r#"{"id":1,"point":[x,y,z],"direction":[x,y,z],"fov":90,"distance":50,"targets":[]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
     // The first point decides for all, whichever lines are read together with it.
     let mut engine = match args.engine.unwrap_or_default() {
@@ -90,13 +101,25 @@ pub fn run(args: &LookArgs) -> Result<(), CliError> {
     let answers = |mut queries: Vec<Query>| {
         if let (None, Some(Query { point, view, .. })) = (engine, queries.first()) {
             // What is wrong with the first point is told with its line.
-            engine = tets.faster(*point, view, mode, &mut Scratch::default()).ok();
+            engine = tets
+                .faster(*point, view, mode, &mut Scratch::default())
+                .ok();
         }
-        queries.iter_mut().for_each(|query| query.view.engine = engine.unwrap_or_default());
+        queries
+            .iter_mut()
+            .for_each(|query| query.view.engine = engine.unwrap_or_default());
         let all = queries.into_par_iter().map(|query| {
-            let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-            let answer = answering.answer(query, &mut scratch).map_err(|e| e.to_string());
-            pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+            let mut scratch = pool
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .pop()
+                .unwrap_or_default();
+            let answer = answering
+                .answer(query, &mut scratch)
+                .map_err(|e| e.to_string());
+            pool.lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(scratch);
             answer
         });
         all.collect()
@@ -135,19 +158,55 @@ fn mode(args: &LookArgs) -> Result<Mode, CliError> {
 }
 
 fn query(line: Line, witnesses: bool) -> Result<Query, String> {
-    let Line { id, point, direction, fov, distance, targets } = line;
+    let Line {
+        id,
+        point,
+        direction,
+        fov,
+        distance,
+        targets,
+    } = line;
     if fov.is_some() && direction.is_none() {
-        return Err("\"fov\" is an angle around a direction; give \"direction\" too, or neither".to_owned());
+        return Err(
+            "\"fov\" is an angle around a direction; give \"direction\" too, or neither".to_owned(),
+        );
     }
     let angle = fov.unwrap_or(FOV).to_radians();
-    let targets = targets.into_iter().map(|t| (t.id, Target { low: t.min, high: t.max })).collect();
-    let view = View { direction, angle, distance, witnesses, ..View::default() };
-    Ok(Query { id, point, view, targets })
+    let targets = targets
+        .into_iter()
+        .map(|t| {
+            (
+                t.id,
+                Target {
+                    low: t.min,
+                    high: t.max,
+                },
+            )
+        })
+        .collect();
+    let view = View {
+        direction,
+        angle,
+        distance,
+        witnesses,
+        ..View::default()
+    };
+    Ok(Query {
+        id,
+        point,
+        view,
+        targets,
+    })
 }
 
 impl Answering<'_> {
     fn answer(&self, query: Query, scratch: &mut Scratch) -> Result<Answer, LookError> {
-        let Query { id, point, view, targets } = query;
+        let Query {
+            id,
+            point,
+            view,
+            targets,
+        } = query;
         let start = Instant::now();
         let inside = self.tets.inside(point, scratch)?;
         let fractions: Vec<f64> = targets
@@ -156,7 +215,17 @@ impl Answering<'_> {
             .collect::<Result<_, _>>()?;
         let seen = self.tets.look(point, &view, self.mode, scratch)?;
         let nanos = start.elapsed().as_nanos() as u64;
-        let Seen { visible, areas, witnesses, sky, unseen, dropped, cells, beams, .. } = seen;
+        let Seen {
+            visible,
+            areas,
+            witnesses,
+            sky,
+            unseen,
+            dropped,
+            cells,
+            beams,
+            ..
+        } = seen;
         let mut line = json!({"id": id, "visible": visible});
         if self.args.areas {
             line["areas"] = json!(areas);
@@ -170,12 +239,19 @@ impl Answering<'_> {
         }
         line["inside"] = inside.into();
         if !targets.is_empty() {
-            let share =
-                |((id, _), fraction): (&(Value, Target), &f64)| json!({"id": id, "fraction": fraction});
+            let share = |((id, _), fraction): (&(Value, Target), &f64)| {
+                json!({
+                    "id": id, "fraction": fraction
+                })
+            };
             line["targets"] = targets.iter().zip(&fractions).map(share).collect();
         }
         (line["cells"], line["beams"], line["micros"]) =
             (json!(cells), json!(beams), json!(nanos as f64 / 1e3));
-        Ok(Answer { line, nanos, count: visible.len() as u64 })
+        Ok(Answer {
+            line,
+            nanos,
+            count: visible.len() as u64,
+        })
     }
 }

@@ -23,7 +23,10 @@ pub fn man(args: &ManArgs) -> Result<(), CliError> {
     let mut all = Cli::command().disable_help_subcommand(true);
     all.build();
     write_pages(all, &args.folder).map_err(|e| to(&e))?;
-    print(&format!("wrote the manual pages to {}: man -l {0}/sightline.1", args.folder.display()))
+    print(&format!(
+        "wrote the manual pages to {}: man -l {0}/sightline.1",
+        args.folder.display()
+    ))
 }
 
 /// Writes the page of a command, after the pages of its subcommands.

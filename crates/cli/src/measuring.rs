@@ -63,22 +63,33 @@ pub fn measured(
             Some(views.map_err(|e| CliError::Input(format!("{}: {e}", path.display())))?)
         }
     };
-    let given = args.viewpoints_file.as_deref().map(|file| read_viewpoints(file).map(|all| (file, all)));
+    let given = args
+        .viewpoints_file
+        .as_deref()
+        .map(|file| read_viewpoints(file).map(|all| (file, all)));
     let given = given.transpose()?;
     if !(8..=4096).contains(&args.resolution) {
-        return Err(CliError::Usage(format!("--resolution {} is not between 8 and 4096", args.resolution)));
+        return Err(CliError::Usage(format!(
+            "--resolution {} is not between 8 and 4096",
+            args.resolution
+        )));
     }
     if let Some(dir) = &args.images {
         writable_folder(dir)?;
     }
     if args.pairs > 0 && pvs.cell_pairs()?.is_none() {
-        return Err(CliError::Input(format!("{}: {}", args.result.display(), PvsError::NoPairs)));
+        return Err(CliError::Input(format!(
+            "{}: {}",
+            args.result.display(),
+            PvsError::NoPairs
+        )));
     }
     let scene = Arc::new(opening::read_for(source, &args.kinds, pvs, &args.result)?);
     let value = measured_in(args, pvs, scene, (on_path, given), progress)?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     if !args.exact {
-        let [made, judged] = [&info["profile"], &value["backend"]].map(|p| p.as_str().unwrap_or_default());
+        let [made, judged] =
+            [&info["profile"], &value["backend"]].map(|p| p.as_str().unwrap_or_default());
         say_other(made, judged);
     }
     Ok(value)
@@ -95,13 +106,16 @@ pub fn measured_in(
     let view_box = pvs.tree().view_box();
     let region = enclosure::of_result(pvs, &scene, &args.result)?;
     let is_place = |p: [f32; 3]| {
-        pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
+        pvs.find_cell(p)
+            .is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
             && region.as_ref().is_none_or(|region| region.holds(p.into()))
     };
     let views = match (on_path, given) {
         (Some(views), _) => views,
         (None, Some((file, all))) => listed(args, (file, &all), &is_place)?,
-        (None, None) if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) => {
+        (None, None)
+            if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) =>
+        {
             Viewpoints::random(args.viewpoints, args.seed, view_box)
         }
         // Viewpoints are only in some of the cells, or in a region.
@@ -113,14 +127,21 @@ pub fn measured_in(
     if args.exact {
         return exactly(args, pvs, &scene, &views, far, progress);
     }
-    let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: args.resolution,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let (profile, backend) = open_backend(args.backend, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(scene)?;
-    let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
+    let renderer =
+        layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options {
         images_dir: args.images.clone(),
-        turntable: args.turntable.then(|| if info["up"] == "z" { 2 } else { 1 }),
+        turntable: args
+            .turntable
+            .then(|| if info["up"] == "z" { 2 } else { 1 }),
         images: WORST,
         worst: WORST,
     };
@@ -131,7 +152,9 @@ pub fn measured_in(
     let pairs = match args.pairs {
         0 => None,
         count => {
-            let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
+            let sight = Sight::new(&*backend, prepared.traced())
+                .map_err(CliError::internal)?
+                .up_to(far);
             let found = measure_pairs(&sight, pvs, count, args.seed, step, &is_place);
             Some(found.map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?)
         }
@@ -177,8 +200,11 @@ fn listed(
     (file, all): (&Path, &[Weighted]),
     is_place: &dyn Fn([f32; 3]) -> bool,
 ) -> Result<Viewpoints, CliError> {
-    let inside: Vec<([f32; 3], f64)> =
-        all.iter().filter(|w| is_place(w.point)).map(|w| (w.point, w.weight)).collect();
+    let inside: Vec<([f32; 3], f64)> = all
+        .iter()
+        .filter(|w| is_place(w.point))
+        .map(|w| (w.point, w.weight))
+        .collect();
     if inside.is_empty() {
         return Err(CliError::Input(format!(
             "{}: none of its viewpoints is in a cell with viewpoints of {}; are they in the scene's units \
@@ -201,8 +227,12 @@ fn listed(
 /// Creates the folder for images and checks, by writing a file, that it is writable, before any frame is
 /// rendered.
 fn writable_folder(dir: &Path) -> Result<(), CliError> {
-    std::fs::create_dir_all(dir).and_then(|()| sightline_files::check(&dir.join("image"))).map_err(|e| {
-        let dir = dir.display();
-        CliError::Usage(format!("{dir} cannot be written: {e}; give --images a folder where you may write"))
-    })
+    std::fs::create_dir_all(dir)
+        .and_then(|()| sightline_files::check(&dir.join("image")))
+        .map_err(|e| {
+            let dir = dir.display();
+            CliError::Usage(format!(
+                "{dir} cannot be written: {e}; give --images a folder where you may write"
+            ))
+        })
 }

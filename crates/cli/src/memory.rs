@@ -7,15 +7,26 @@ use std::path::{Path, PathBuf};
 pub fn available() -> Option<u64> {
     let free = line("/proc/meminfo", "MemAvailable:")?.checked_mul(1024)?;
     let own = std::fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
-    let own = own.lines().find_map(|l| l.strip_prefix("0::")).unwrap_or_default();
+    let own = own
+        .lines()
+        .find_map(|l| l.strip_prefix("0::"))
+        .unwrap_or_default();
     let own = PathBuf::from("/sys/fs/cgroup").join(own.trim_start_matches('/'));
-    let groups = own.ancestors().take_while(|g| g.starts_with("/sys/fs/cgroup"));
+    let groups = own
+        .ancestors()
+        .take_while(|g| g.starts_with("/sys/fs/cgroup"));
     Some(groups.filter_map(left_in).fold(free, u64::min))
 }
 
 /// Bytes that a control group may still take; `None` where it has no limit, and then says "max".
 fn left_in(group: &Path) -> Option<u64> {
-    let number = |file: &str| std::fs::read_to_string(group.join(file)).ok()?.trim().parse::<u64>().ok();
+    let number = |file: &str| {
+        std::fs::read_to_string(group.join(file))
+            .ok()?
+            .trim()
+            .parse::<u64>()
+            .ok()
+    };
     let (most, used) = (number("memory.max")?, number("memory.current")?);
     // Pages of files that nobody has used lately are given back first.
     let files = line(group.join("memory.stat"), "inactive_file").unwrap_or(0);

@@ -26,7 +26,9 @@ pub fn migrate(args: &MigrateArgs, json: bool) -> Result<(), CliError> {
     let entries = from.store.entries().map_err(|e| input(&e))?;
     take_over(&*to.store, entries.clone())?;
     if to.store.entries().map_err(|e| input(&e))? != entries {
-        return Err(CliError::Internal("what is in TO now is not what is in FROM; do not use it".to_owned()));
+        return Err(CliError::Internal(
+            "what is in TO now is not what is in FROM; do not use it".to_owned(),
+        ));
     }
     let count = entries.len();
     to.close();
@@ -67,20 +69,25 @@ impl Opened {
     /// When it cannot be opened, or somebody uses it.
     pub fn on_disk(directory: &Path) -> Result<Self, CliError> {
         let store = SledStore::open(directory).map_err(|e| CliError::Input(e.to_string()))?;
-        Ok(Self { store: Box::new(store), replica: None })
+        Ok(Self {
+            store: Box::new(store),
+            replica: None,
+        })
     }
 
     /// Leads for as long as it takes, so that no coordinator changes anything.
     fn in_database(address: &DatabaseAddress, what: &str) -> Result<Self, CliError> {
         let input = |e: &dyn std::fmt::Display| CliError::Input(e.to_string());
         // Nobody is to call it.
-        let replica =
-            Replica::join(address, &default_name()?, "http://127.0.0.1:1").map_err(|e| input(&e))?;
+        let replica = Replica::join(address, &default_name()?, "http://127.0.0.1:1")
+            .map_err(|e| input(&e))?;
         let runtime = runtime()?;
         let mut role = replica.role();
         let leads = runtime.block_on(async {
             let decided = role.wait_for(|role| matches!(role, Role::Leads(_) | Role::Ended(_)));
-            tokio::time::timeout(PATIENCE, decided).await.map(|role| role.map(|role| role.clone()))
+            tokio::time::timeout(PATIENCE, decided)
+                .await
+                .map(|role| role.map(|role| role.clone()))
         });
         let store = match leads {
             Ok(Ok(Role::Leads(epoch))) => replica.store(epoch).map_err(|e| input(&e))?,
@@ -91,7 +98,10 @@ impl Opened {
                 )));
             }
         };
-        Ok(Self { store: Box::new(store), replica: Some((replica, runtime)) })
+        Ok(Self {
+            store: Box::new(store),
+            replica: Some((replica, runtime)),
+        })
     }
 
     /// Lets others lead at once.
@@ -112,7 +122,9 @@ pub fn take_over(store: &dyn Store, entries: Vec<Entry>) -> Result<(), CliError>
         if some.is_empty() {
             return Ok(());
         }
-        store.import(some, first).map_err(|e| CliError::Input(e.to_string()))?;
+        store
+            .import(some, first)
+            .map_err(|e| CliError::Input(e.to_string()))?;
         first = false;
     }
 }

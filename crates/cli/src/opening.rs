@@ -18,7 +18,9 @@ pub fn plural(n: usize, what: &str) -> String {
 /// Opens a result; the error names the file.
 pub fn open(path: &Path) -> Result<Pvs, CliError> {
     Pvs::open(path).map_err(|e| match e {
-        PvsError::Open { .. } => CliError::Input(format!("{e}; name a file that `sightline bake` wrote")),
+        PvsError::Open { .. } => {
+            CliError::Input(format!("{e}; name a file that `sightline bake` wrote"))
+        }
         PvsError::Memory { .. } => CliError::Internal(format!("{}: {e}", path.display())),
         e => CliError::Input(format!("{}: {e}", path.display())),
     })
@@ -50,9 +52,18 @@ pub fn scene(path: &Path, kinds: &KindArgs) -> Result<Scene, CliError> {
 
 /// Reads a scene with the flags of the user about kinds and sides, and prints the warnings.
 pub fn read(source: &Source, kinds: &KindArgs) -> Result<Scene, CliError> {
-    let KindArgs { rules, alpha_textures, cull_back_faces } = kinds.clone();
+    let KindArgs {
+        rules,
+        alpha_textures,
+        cull_back_faces,
+    } = kinds.clone();
     let limits = sightline_scene::load::Limits::default();
-    let options = sightline_scene::load::Options { limits, rules, alpha_textures, cull_back_faces };
+    let options = sightline_scene::load::Options {
+        limits,
+        rules,
+        alpha_textures,
+        cull_back_faces,
+    };
     let path = source.path();
     let loaded = match source {
         Source::File(path) => sightline_scene::load_with(path, &options),
@@ -62,19 +73,36 @@ pub fn read(source: &Source, kinds: &KindArgs) -> Result<Scene, CliError> {
             &options,
         ),
     }?;
-    loaded.warnings.iter().for_each(|w| say(&format!("warning: {}: {w}", path.display())));
+    loaded
+        .warnings
+        .iter()
+        .for_each(|w| say(&format!("warning: {}: {w}", path.display())));
     Ok(loaded.scene)
 }
 
 /// Reads the scene file of a result: with the flags of the user, or else with those that the result was baked
 /// with.
-pub fn scene_of(path: &Path, kinds: &KindArgs, pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
+pub fn scene_of(
+    path: &Path,
+    kinds: &KindArgs,
+    pvs: &Pvs,
+    result: &Path,
+) -> Result<Scene, CliError> {
     read_for(&Source::File(path.to_owned()), kinds, pvs, result)
 }
 
 /// Reads the scene of a result, as [`scene_of`].
-pub fn read_for(source: &Source, kinds: &KindArgs, pvs: &Pvs, result: &Path) -> Result<Scene, CliError> {
-    let scene = if kinds.is_empty() { read(source, &flags_of(pvs, result)?)? } else { read(source, kinds)? };
+pub fn read_for(
+    source: &Source,
+    kinds: &KindArgs,
+    pvs: &Pvs,
+    result: &Path,
+) -> Result<Scene, CliError> {
+    let scene = if kinds.is_empty() {
+        read(source, &flags_of(pvs, result)?)?
+    } else {
+        read(source, kinds)?
+    };
     check_scene(&scene, pvs, source.path(), result)?;
     Ok(scene)
 }
@@ -84,8 +112,9 @@ fn flags_of(pvs: &Pvs, result: &Path) -> Result<KindArgs, CliError> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     let cull_back_faces = info["cull_back_faces"] == true;
     let rules = info["kinds"]["rules"].as_array().map_or(&[][..], |r| r);
-    let rule =
-        |r: &serde_json::Value| Rule::new(Kind::from_name(r["kind"].as_str()?)?, r["glob"].as_str()?).ok();
+    let rule = |r: &serde_json::Value| {
+        Rule::new(Kind::from_name(r["kind"].as_str()?)?, r["glob"].as_str()?).ok()
+    };
     let rules = rules
         .iter()
         .map(|r| {
@@ -98,7 +127,11 @@ fn flags_of(pvs: &Pvs, result: &Path) -> Result<KindArgs, CliError> {
         })
         .collect::<Result<_, _>>()?;
     let alpha_textures = info["kinds"]["alpha_textures"] == true;
-    Ok(KindArgs { rules, alpha_textures, cull_back_faces })
+    Ok(KindArgs {
+        rules,
+        alpha_textures,
+        cull_back_faces,
+    })
 }
 
 /// Refuses a scene with alpha masks where exact queries are asked for.
@@ -145,14 +178,19 @@ pub fn sides_in_words(one_sided: Option<u64>) -> String {
 /// The kinds of a scene in words, one line each.
 pub fn kinds_in_words(counts: &[KindCount]) -> Vec<String> {
     if counts.is_empty() {
-        return vec!["all triangles are opaque: no material, animation or flag says otherwise".to_owned()];
+        return vec![
+            "all triangles are opaque: no material, animation or flag says otherwise".to_owned(),
+        ];
     }
     Kind::ALL
         .into_iter()
         .filter_map(|kind| {
             let of: Vec<&KindCount> = counts.iter().filter(|c| c.kind == kind).collect();
             let sum: u64 = of.iter().map(|c| c.triangles).sum();
-            let reasons: Vec<String> = of.iter().map(|c| format!("{} {}", c.triangles, c.reason)).collect();
+            let reasons: Vec<String> = of
+                .iter()
+                .map(|c| format!("{} {}", c.triangles, c.reason))
+                .collect();
             (sum > 0).then(|| format!("{}: {sum} triangles ({})", kind.name(), reasons.join(", ")))
         })
         .collect()

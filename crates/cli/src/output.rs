@@ -80,8 +80,8 @@ impl Format {
 
 /// Extensions of well-known formats; a name with one of them promises that format.
 const KNOWN: [&str; 15] = [
-    "obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html", "tets",
-    "vtu",
+    "obj", "ply", "gltf", "glb", "stl", "off", "fbx", "dae", "3mf", "usd", "usdz", "pvs", "html",
+    "tets", "vtu",
 ];
 
 /// A place where a file may be written.
@@ -101,15 +101,28 @@ impl Output {
     /// [`CliError::Usage`] with the reason.
     pub fn check(path: &Path, format: Format, input: Option<&Path>) -> Result<Self, CliError> {
         let flag = format.flag();
-        let refusal = |why: String| CliError::Usage(format!("{} cannot be written: {why}", path.display()));
+        let refusal =
+            |why: String| CliError::Usage(format!("{} cannot be written: {why}", path.display()));
         let refuse = |why: String| Err(refusal(why));
         if path.as_os_str() == "-" {
-            return refuse(format!("results go to files, not to stdout; give {flag} a name"));
+            return refuse(format!(
+                "results go to files, not to stdout; give {flag} a name"
+            ));
         }
-        if path.as_os_str().to_string_lossy().ends_with(std::path::is_separator) {
-            return refuse(format!("that names a folder; give {flag} the name of a file"));
+        if path
+            .as_os_str()
+            .to_string_lossy()
+            .ends_with(std::path::is_separator)
+        {
+            return refuse(format!(
+                "that names a folder; give {flag} the name of a file"
+            ));
         }
-        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+        let extension = path
+            .extension()
+            .and_then(|e| e.to_str())
+            .unwrap_or_default()
+            .to_ascii_lowercase();
         if extension != format.extension() && KNOWN.contains(&extension.as_str()) {
             let ours = format.extension();
             return refuse(format!(
@@ -131,7 +144,9 @@ impl Output {
         let target = match std::fs::canonicalize(path) {
             Ok(target) => target,
             Err(_) if path.is_symlink() => {
-                return refuse(format!("it is a link to nothing; remove it or give {flag} another name"));
+                return refuse(format!(
+                    "it is a link to nothing; remove it or give {flag} another name"
+                ));
             }
             Err(_) => path.to_owned(),
         };
@@ -143,14 +158,18 @@ impl Output {
             ));
         }
         if input.is_some_and(|i| std::fs::canonicalize(i).is_ok_and(|i| i == target)) {
-            return refuse(format!("that is the input itself; give {flag} another name"));
+            return refuse(format!(
+                "that is the input itself; give {flag} another name"
+            ));
         }
         if target.exists() {
             let mut begins = Vec::new();
             File::open(&target)
                 .and_then(|f| f.take(format.magic().len() as u64).read_to_end(&mut begins))
                 .map_err(|e| {
-                    refusal(format!("the file there cannot be read ({e}); give {flag} another name"))
+                    refusal(format!(
+                        "the file there cannot be read ({e}); give {flag} another name"
+                    ))
                 })?;
             if !begins.is_empty() && begins != format.magic() {
                 return refuse(format!(
@@ -160,16 +179,25 @@ impl Output {
             }
         }
         // Only an attempt shows reliably whether the folder is writable.
-        sightline_files::check(&target)
-            .map_err(|e| refusal(format!("{e}; give {flag} a file in a folder where you may write")))?;
-        Ok(Self { named: path.to_owned(), target })
+        sightline_files::check(&target).map_err(|e| {
+            refusal(format!(
+                "{e}; give {flag} a file in a folder where you may write"
+            ))
+        })?;
+        Ok(Self {
+            named: path.to_owned(),
+            target,
+        })
     }
 
     /// Whether both are one file.
     pub fn is(&self, other: &Self) -> bool {
         let place = |output: &Self| {
             let folder = std::fs::canonicalize(folder(&output.target)).unwrap_or_default();
-            (folder, output.target.file_name().map(std::ffi::OsStr::to_owned))
+            (
+                folder,
+                output.target.file_name().map(std::ffi::OsStr::to_owned),
+            )
         };
         place(self) == place(other)
     }
@@ -183,7 +211,10 @@ impl Output {
     ///
     /// # Errors
     /// The error of `fill`, or [`CliError::Internal`] when the file cannot be written.
-    pub fn write(&self, fill: impl FnOnce(&mut dyn Write) -> Result<(), CliError>) -> Result<(), CliError> {
+    pub fn write(
+        &self,
+        fill: impl FnOnce(&mut dyn Write) -> Result<(), CliError>,
+    ) -> Result<(), CliError> {
         let mut part = self.begin()?;
         fill(&mut part)?;
         part.place()
@@ -195,7 +226,10 @@ impl Output {
     /// [`CliError::Internal`] when the file cannot be created.
     pub fn begin(&self) -> Result<Part<'_>, CliError> {
         let file = NewFile::begin(&self.target, Access::Shared);
-        Ok(Part { of: self, file: file.map_err(|e| CliError::writing(&self.named, &e))? })
+        Ok(Part {
+            of: self,
+            file: file.map_err(|e| CliError::writing(&self.named, &e))?,
+        })
     }
 }
 
@@ -212,7 +246,9 @@ impl Part<'_> {
     /// # Errors
     /// [`CliError::Internal`] when the file cannot be written, synced or moved.
     pub fn place(self) -> Result<(), CliError> {
-        self.file.commit().map_err(|e| CliError::writing(&self.of.named, &e))
+        self.file
+            .commit()
+            .map_err(|e| CliError::writing(&self.of.named, &e))
     }
 }
 
@@ -244,9 +280,17 @@ mod tests {
         std::fs::create_dir(at("folder")).unwrap();
         assert!(check(&at("model")).unwrap_err().contains("no .pvs"));
         assert!(check(&at("folder")).unwrap_err().contains("folder"));
-        assert!(check(&at("none/a.pvs")).unwrap_err().contains("there is no folder"));
+        assert!(
+            check(&at("none/a.pvs"))
+                .unwrap_err()
+                .contains("there is no folder")
+        );
         assert!(check(&at("a.glb")).unwrap_err().contains(".glb"));
-        assert!(check(&dir.path().join("new/")).unwrap_err().contains("names a folder"));
+        assert!(
+            check(&dir.path().join("new/"))
+                .unwrap_err()
+                .contains("names a folder")
+        );
         assert!(check(Path::new("-")).unwrap_err().contains("stdout"));
         for name in ["old.pvs", "empty.pvs", "new.pvs", "name"] {
             check(&at(name)).unwrap();
@@ -258,7 +302,11 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn devices_are_refused_and_links_followed() {
-        assert!(check(Path::new("/dev/null")).unwrap_err().contains("no ordinary file"));
+        assert!(
+            check(Path::new("/dev/null"))
+                .unwrap_err()
+                .contains("no ordinary file")
+        );
         let dir = tempfile::tempdir().unwrap();
         let (real, link) = (dir.path().join("real.pvs"), dir.path().join("link.pvs"));
         std::os::unix::fs::symlink(&real, &link).unwrap();
@@ -277,7 +325,10 @@ mod tests {
         std::fs::write(&scene, b"\x89PVS").unwrap();
         let spelled = dir.path().join(".").join("scene");
         let refused = Output::check(&spelled, Format::Pvs, Some(&scene)).unwrap_err();
-        assert!(refused.to_string().contains("the input itself"), "{refused}");
+        assert!(
+            refused.to_string().contains("the input itself"),
+            "{refused}"
+        );
         let output = check(&dir.path().join("out.pvs")).unwrap();
         let fail = |_: &mut dyn Write| Err(CliError::Job("no".into()));
         assert!(matches!(output.write(fail), Err(CliError::Job(_))));

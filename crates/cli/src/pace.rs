@@ -40,18 +40,26 @@ pub struct Pace {
 impl Pace {
     /// The time runs from now on.
     pub fn new() -> Self {
-        Self { start: Instant::now(), first: None }
+        Self {
+            start: Instant::now(),
+            first: None,
+        }
     }
 
     fn first(&mut self, job: &v1::Job) -> AtStart {
         let tiles = u64::from(job.tiles_done + job.tiles_set_aside);
-        *self.first.get_or_insert(AtStart { tiles, cells: job.cells_done, samples: job.samples })
+        *self.first.get_or_insert(AtStart {
+            tiles,
+            cells: job.cells_done,
+            samples: job.samples,
+        })
     }
 
     /// Samples a second since the job was first seen.
     pub fn samples_per_second(&mut self, job: &v1::Job) -> f64 {
         let first = self.first(job);
-        job.samples.saturating_sub(first.samples) as f64 / self.start.elapsed().as_secs_f64().max(1e-3)
+        job.samples.saturating_sub(first.samples) as f64
+            / self.start.elapsed().as_secs_f64().max(1e-3)
     }
 
     /// What is left of the job. `workers_here`: the workers run in this process.
@@ -61,8 +69,14 @@ impl Pace {
         let ended = u64::from(job.tiles_done + job.tiles_set_aside);
         // Cells are counted if their total is known, because a small job may be a single tile.
         let (here, left) = match job.cells_total {
-            0 => (ended.saturating_sub(first.tiles), u64::from(job.tiles_total).saturating_sub(ended)),
-            total => (job.cells_done.saturating_sub(first.cells), total.saturating_sub(job.cells_done)),
+            0 => (
+                ended.saturating_sub(first.tiles),
+                u64::from(job.tiles_total).saturating_sub(ended),
+            ),
+            total => (
+                job.cells_done.saturating_sub(first.cells),
+                total.saturating_sub(job.cells_done),
+            ),
         };
         let open = matches!(job.state(), v1::JobState::Queued | v1::JobState::Running);
         if job.state() == v1::JobState::Paused {
@@ -73,7 +87,10 @@ impl Pace {
             Left::Finishing
         } else if here > 0 && (job.tiles_total > FEW_TILES || here * 4 >= left) {
             // No job runs much longer than its time budget.
-            let budget = job.spec.as_ref().map_or(0.0, |s| s.time_budget_ms() as f64 * 1e-3);
+            let budget = job
+                .spec
+                .as_ref()
+                .map_or(0.0, |s| s.time_budget_ms() as f64 * 1e-3);
             match seconds / here as f64 * left as f64 {
                 _ if budget > 0.0 && seconds >= budget => Left::Finishing,
                 left if budget > 0.0 => Left::Seconds(left.min(budget - seconds)),
@@ -92,7 +109,12 @@ mod tests {
     #[test]
     fn what_earlier_runs_have_done_tells_nothing_about_the_time_left() {
         let running = v1::JobState::Running as i32;
-        let mut job = v1::Job { state: running, tiles_total: 1, cells_total: 8, ..v1::Job::default() };
+        let mut job = v1::Job {
+            state: running,
+            tiles_total: 1,
+            cells_total: 8,
+            ..v1::Job::default()
+        };
         let mut pace = Pace::new();
         job.cells_done = 4;
         assert_eq!(pace.left(&job, false), Left::NoWorkers);

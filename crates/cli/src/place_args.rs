@@ -47,8 +47,14 @@ pub struct PlaceArgs {
 }
 
 fn numbers<const N: usize>(text: &str) -> Option<[f32; N]> {
-    let parts = text.split(',').map(|p| p.trim().parse::<f32>()).collect::<Result<Vec<_>, _>>().ok()?;
-    <[f32; N]>::try_from(parts).ok().filter(|all| all.iter().all(|x| x.is_finite()))
+    let parts = text
+        .split(',')
+        .map(|p| p.trim().parse::<f32>())
+        .collect::<Result<Vec<_>, _>>()
+        .ok()?;
+    <[f32; N]>::try_from(parts)
+        .ok()
+        .filter(|all| all.iter().all(|x| x.is_finite()))
 }
 
 /// A point, as in 1.5,0,-2.
@@ -63,15 +69,24 @@ fn parse_heights(text: &str) -> Result<[f32; 2], String> {
 
 /// A length above 0, as in 2.5.
 pub fn parse_length(text: &str) -> Result<f32, String> {
-    let length = text.parse::<f32>().ok().filter(|r| r.is_finite() && *r > 0.0);
+    let length = text
+        .parse::<f32>()
+        .ok()
+        .filter(|r| r.is_finite() && *r > 0.0);
     length.ok_or_else(|| "give a length above 0, as in 2.5".to_owned())
 }
 
 /// A box, as in -1,0,-1,1,2,1.
 pub fn parse_box(text: &str) -> Result<Aabb, String> {
-    let parts = text.split(',').map(|p| p.trim().parse()).collect::<Result<Vec<f32>, _>>();
+    let parts = text
+        .split(',')
+        .map(|p| p.trim().parse())
+        .collect::<Result<Vec<f32>, _>>();
     match parts.as_deref() {
-        Ok([x0, y0, z0, x1, y1, z1]) => Ok(Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1))),
+        Ok([x0, y0, z0, x1, y1, z1]) => Ok(Aabb::new(
+            Vec3::new(*x0, *y0, *z0),
+            Vec3::new(*x1, *y1, *z1),
+        )),
         _ => Err("give six numbers as in -1,0,-1,1,2,1".to_owned()),
     }
 }

@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use sightline_model::{BackendChoice, Up};
 use sightline_places::reach::Tracing;
-use sightline_places::{Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach};
+use sightline_places::{
+    Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach,
+};
 use sightline_portals::{Reached, along_walls};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
@@ -75,7 +77,9 @@ impl PlaceArgs {
         if !self.reachable_from.is_empty() {
             let (cells, lattice) = whole(view_box)?;
             self.with_tracer(scene, &Parts::new(&lattice, cells), cells, |tracing| {
-                reach::check(tracing, &self.reachable_from).map(drop).map_err(of_seeds)
+                reach::check(tracing, &self.reachable_from)
+                    .map(drop)
+                    .map_err(of_seeds)
             })?;
             let walls = Walls::around(scene, &self.reachable_from);
             say(&walls.in_words());
@@ -96,14 +100,19 @@ impl PlaceArgs {
                 ));
             }
         }
-        let reached = region.as_ref().map(|region| Reached::new(region, scene)).transpose();
+        let reached = region
+            .as_ref()
+            .map(|region| Reached::new(region, scene))
+            .transpose();
         let reached = reached.map_err(CliError::internal)?;
         let is_used = |of: Aabb| reached.as_ref().is_none_or(|reached| reached.meets(of));
         let tree = along_walls(scene, view_box, most, &is_used);
         let boxes = tree.boxes();
         let division = Division::Tree(Arc::new(tree));
         let usage = |e: sightline_viewcells::DivisionError| CliError::Usage(e.to_string());
-        let lattice = division.lattice(view_box.min, view_box.max).map_err(usage)?;
+        let lattice = division
+            .lattice(view_box.min, view_box.max)
+            .map_err(usage)?;
         let Some(region) = region else {
             say(&format!("{} along walls", plural_boxes(boxes)));
             return Ok((division, None));
@@ -111,8 +120,9 @@ impl PlaceArgs {
         let mut marks = Viewpoints::none([boxes as u32, 1, 1]);
         for tile in Plan::new(&division, &lattice, Layout::Blocks(1)).tiles {
             let (min, max) = tile.cell.world(&lattice);
-            if let Some(number) =
-                division.number(&lattice, &tile.cell).filter(|_| is_used(Aabb::new(min, max)))
+            if let Some(number) = division
+                .number(&lattice, &tile.cell)
+                .filter(|_| is_used(Aabb::new(min, max)))
             {
                 marks.mark_all(number);
             }
@@ -123,7 +133,11 @@ impl PlaceArgs {
                     .to_owned(),
             ));
         }
-        say(&format!("{} along walls, {} of them with viewpoints", plural_boxes(boxes), marks.reached()));
+        say(&format!(
+            "{} along walls, {} of them with viewpoints",
+            plural_boxes(boxes),
+            marks.reached()
+        ));
         Ok((division, Some(Arc::new(marks.within(Some(region))))))
     }
 
@@ -170,7 +184,9 @@ impl PlaceArgs {
             traced.into_iter().for_each(&mut restrict);
             region = found;
         }
-        let Some(marks) = all.map(|marks| marks.within(region)) else { return Ok(None) };
+        let Some(marks) = all.map(|marks| marks.within(region)) else {
+            return Ok(None);
+        };
         if marks.reached() == 0 {
             return Err(CliError::Input(format!(
                 "{}: no viewpoint is left: what the flags allow shares no part of the view box; give fewer \
@@ -209,12 +225,22 @@ impl PlaceArgs {
         cells: [u32; 3],
         with: impl FnOnce(&Tracing<'_>) -> Result<T, CliError>,
     ) -> Result<T, CliError> {
-        let spec = CubeSpec { resolution: 256, strata: Strata::One, keep_pixels: false };
+        let spec = CubeSpec {
+            resolution: 256,
+            strata: Strata::One,
+            keep_pixels: false,
+        };
         let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
         let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
         let step = least_step(scene.bounds());
-        with(&Tracing { scene, sight: &sight, parts, cells, step })
+        with(&Tracing {
+            scene,
+            sight: &sight,
+            parts,
+            cells,
+            step,
+        })
     }
 
     fn traced_with(
@@ -243,8 +269,10 @@ impl PlaceArgs {
         if !self.reachable_from.is_empty() {
             reach::check(tracing, &self.reachable_from).map_err(of_seeds)?;
             if !walls {
-                say("note: certificates and visibility cubes are about whole cells, so viewpoints of \
-                     --reachable-from are in parts of cells that rays find, not between walls");
+                say(
+                    "note: certificates and visibility cubes are about whole cells, so viewpoints of \
+                     --reachable-from are in parts of cells that rays find, not between walls",
+                );
             } else {
                 let walls = Walls::around(scene, &self.reachable_from);
                 say(&walls.in_words());
@@ -297,12 +325,18 @@ fn of_seeds(e: PlacesError) -> CliError {
 fn whole(view_box: Aabb) -> Result<([u32; 3], Lattice), CliError> {
     let cells = [1; 3];
     let lattice = Division::Grid(cells).lattice(view_box.min, view_box.max);
-    lattice.map(|lattice| (cells, lattice)).map_err(|e| CliError::Usage(e.to_string()))
+    lattice
+        .map(|lattice| (cells, lattice))
+        .map_err(|e| CliError::Usage(e.to_string()))
 }
 
 /// A number of boxes in words.
 fn plural_boxes(boxes: usize) -> String {
-    if boxes == 1 { "1 box".to_owned() } else { format!("{boxes} boxes") }
+    if boxes == 1 {
+        "1 box".to_owned()
+    } else {
+        format!("{boxes} boxes")
+    }
 }
 
 /// Reads a file of viewpoints.

@@ -31,7 +31,10 @@ struct Space {
 
 /// Divides a scene and says what was found.
 pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
-    let output = args.output.as_ref().map(|path| Output::check(path, Format::Glb, Some(&args.scene)));
+    let output = args
+        .output
+        .as_ref()
+        .map(|path| Output::check(path, Format::Glb, Some(&args.scene)));
     let output = output.transpose()?;
     let scene = opening::scene(&args.scene, &args.kinds)?;
     let outside = |p: &&[f32; 3]| !scene.bounds().contains(Vec3::from(**p));
@@ -47,11 +50,19 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
     }
     let walls = Walls::around(&scene, &args.reachable_from);
     // What is outside the scene's box is no part of it.
-    let inside: Vec<LeafId> = walls.reached.iter().copied().filter(|leaf| *leaf != OUTSIDE).collect();
+    let inside: Vec<LeafId> = walls
+        .reached
+        .iter()
+        .copied()
+        .filter(|leaf| *leaf != OUTSIDE)
+        .collect();
     let parts = solids(&walls.tree, &inside);
     let volume: f64 = parts.iter().map(Solid::volume).sum();
     let inner = portals_of(&walls.tree, &inside);
-    let detail = inside.iter().map(|l| walls.tree.leaf(*l).detail.len()).sum::<usize>();
+    let detail = inside
+        .iter()
+        .map(|l| walls.tree.leaf(*l).detail.len())
+        .sum::<usize>();
     let is_closed = walls.enclosure == Enclosure::Closed;
     // Where there is a way out, parts reach beyond the scene's box.
     let share = is_closed.then_some(volume / volume_of(&scene));
@@ -81,7 +92,8 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), CliError> {
             100.0 * share.unwrap_or_default()
         ),
         Enclosure::Leak(..) => {
-            "walls will not help `sightline bake --reachable-from` until the way out is closed".to_owned()
+            "walls will not help `sightline bake --reachable-from` until the way out is closed"
+                .to_owned()
         }
         Enclosure::Unknown | Enclosure::Stopped => {
             "`sightline bake --reachable-from` marks parts of cells by rays then".to_owned()
@@ -104,7 +116,9 @@ fn enclosed_spaces(
         let step = Vec3::from(spread3(number as u64, [0.5; 3]));
         let point = (bounds.min + (bounds.max - bounds.min) * step).to_array();
         let known = |(_, leaves): &([f32; 3], Vec<LeafId>)| {
-            tree.leaves_of(point.into()).iter().all(|leaf| leaves.binary_search(leaf).is_ok())
+            tree.leaves_of(point.into())
+                .iter()
+                .all(|leaf| leaves.binary_search(leaf).is_ok())
         };
         if closed.iter().any(known) {
             continue;
@@ -121,25 +135,42 @@ fn enclosed_spaces(
         .map(|(point, _)| {
             let leaves = reached(&tree, &[point]);
             let volume = solids(&tree, &leaves).iter().map(Solid::volume).sum();
-            Space { point, leaves, volume }
+            Space {
+                point,
+                leaves,
+                volume,
+            }
         })
         .collect();
     spaces.sort_by(|a, b| b.volume.total_cmp(&a.volume));
     spaces.truncate(LISTED);
     let share = |space: &Space| space.volume / volume_of(scene);
     if let Some(output) = output {
-        let all: BTreeSet<LeafId> = spaces.iter().flat_map(|s| s.leaves.iter().copied()).collect();
+        let all: BTreeSet<LeafId> = spaces
+            .iter()
+            .flat_map(|s| s.leaves.iter().copied())
+            .collect();
         let all: Vec<LeafId> = all.into_iter().collect();
-        draw(args, output, &tree, &solids(&tree, &all), &portals_of(&tree, &all), None)?;
+        draw(
+            args,
+            output,
+            &tree,
+            &solids(&tree, &all),
+            &portals_of(&tree, &all),
+            None,
+        )?;
     }
     if json {
-        let listed = |s: &Space| json!({"point": s.point, "leaves": s.leaves.len(), "share": share(s)});
+        let listed =
+            |s: &Space| json!({"point": s.point, "leaves": s.leaves.len(), "share": share(s)});
         let enclosed: Vec<Value> = spaces.iter().map(listed).collect();
         let value = json!({"leaves": tree.len() - 1, "unknown": unknown, "enclosed": enclosed});
         return print(&value.to_string());
     }
     if unknown > 0 {
-        print(&format!("of {unknown} of {TRIED} points it is not known: there are too many walls"))?;
+        print(&format!(
+            "of {unknown} of {TRIED} points it is not known: there are too many walls"
+        ))?;
     }
     if spaces.is_empty() {
         return print(&format!(
@@ -167,21 +198,38 @@ fn volume_of(scene: &Scene) -> f64 {
 
 /// The portals between two of some leaves, ascending.
 fn portals_of(tree: &Tree, leaves: &[LeafId]) -> Vec<PortalId> {
-    let mut all: Vec<PortalId> = leaves.iter().flat_map(|l| tree.leaf(*l).portals.iter().copied()).collect();
+    let mut all: Vec<PortalId> = leaves
+        .iter()
+        .flat_map(|l| tree.leaf(*l).portals.iter().copied())
+        .collect();
     all.sort_unstable();
     all.dedup();
-    all.retain(|p| tree.portal(*p).leaves.iter().all(|l| leaves.binary_search(l).is_ok()));
+    all.retain(|p| {
+        tree.portal(*p)
+            .leaves
+            .iter()
+            .all(|l| leaves.binary_search(l).is_ok())
+    });
     all
 }
 
 /// The openings on the way out.
 fn way(walls: &Walls) -> Option<Vec<&Face>> {
-    let Enclosure::Leak(_, portals) = &walls.enclosure else { return None };
-    Some(portals.iter().map(|p| &walls.tree.portal(*p).face).collect())
+    let Enclosure::Leak(_, portals) = &walls.enclosure else {
+        return None;
+    };
+    Some(
+        portals
+            .iter()
+            .map(|p| &walls.tree.portal(*p).face)
+            .collect(),
+    )
 }
 
 fn way_json(walls: &Walls) -> Value {
-    let Some(way) = way(walls) else { return Value::Null };
+    let Some(way) = way(walls) else {
+        return Value::Null;
+    };
     let place = |face: &Face| json!({"at": face.middle().to_array(), "width": face.width()});
     json!({
         "openings": way.iter().map(|face| place(face)).collect::<Vec<_>>(),
@@ -203,7 +251,9 @@ fn draw(
         let first = triangles.len() as u32;
         for face in faces {
             let at: Vec<Vec3> = face.corners().iter().map(|c| c.as_vec3()).collect();
-            triangles.extend(at.windows(2).skip(1).map(|w| Triangle { v: [at[0], w[0], w[1]] }));
+            triangles.extend(at.windows(2).skip(1).map(|w| Triangle {
+                v: [at[0], w[0], w[1]],
+            }));
         }
         let count = triangles.len() as u32 - first;
         if count > 0 {
@@ -215,7 +265,10 @@ fn draw(
     }
     for portal in portals.iter().map(|p| tree.portal(*p)) {
         let [a, b] = portal.leaves;
-        add(format!("portal {}-{}", a.0, b.0), &mut std::iter::once(&portal.face));
+        add(
+            format!("portal {}-{}", a.0, b.0),
+            &mut std::iter::once(&portal.face),
+        );
     }
     if let Some(way) = way {
         add("way out".to_owned(), &mut way.into_iter());
@@ -231,6 +284,9 @@ fn draw(
             e => CliError::internal(e),
         })
     })?;
-    say(&format!("wrote {}", args.output.as_deref().unwrap_or(&args.scene).display()));
+    say(&format!(
+        "wrote {}",
+        args.output.as_deref().unwrap_or(&args.scene).display()
+    ));
     Ok(())
 }

@@ -43,7 +43,9 @@ fn escaped(text: &str, stays: impl Fn(char) -> bool) -> Cow<'_, str> {
 /// # Errors
 /// When the writer fails, or the value cannot be serialised.
 pub fn json(to: impl io::Write, value: &impl Serialize) -> io::Result<()> {
-    value.serialize(&mut Serializer::with_formatter(to, Escaped)).map_err(io::Error::from)
+    value
+        .serialize(&mut Serializer::with_formatter(to, Escaped))
+        .map_err(io::Error::from)
 }
 
 /// The compact format of JSON with further escapes: serde_json leaves DEL and all higher characters as they
@@ -51,7 +53,11 @@ pub fn json(to: impl io::Write, value: &impl Serialize) -> io::Result<()> {
 struct Escaped;
 
 impl Formatter for Escaped {
-    fn write_string_fragment<W: io::Write + ?Sized>(&mut self, to: &mut W, fragment: &str) -> io::Result<()> {
+    fn write_string_fragment<W: io::Write + ?Sized>(
+        &mut self,
+        to: &mut W,
+        fragment: &str,
+    ) -> io::Result<()> {
         to.write_all(name(fragment).as_bytes())
     }
 }
@@ -67,7 +73,10 @@ mod tests {
 
     #[test]
     fn control_characters_are_escaped() {
-        assert_eq!(name("wall\u{1b}[2J\n\u{7}\u{9b}"), "wall\\u001b[2J\\u000a\\u0007\\u009b");
+        assert_eq!(
+            name("wall\u{1b}[2J\n\u{7}\u{9b}"),
+            "wall\\u001b[2J\\u000a\\u0007\\u009b"
+        );
         assert_eq!(name("a\u{202e}b\t"), "a\\u202eb\\u0009");
         assert_eq!(text("one\n\ttwo\r\u{1b}c"), "one\n\ttwo\\u000d\\u001bc");
         assert!(matches!(name("Wand übergröße 壁"), Cow::Borrowed(_)));
@@ -78,9 +87,18 @@ mod tests {
         let value = serde_json::json!({"a\u{200f}b": "\u{7f}\u{9b}2J\u{1b}\u{202e}\n\"\\ü壁"});
         let mut streamed = Vec::new();
         json(&mut streamed, &value).unwrap();
-        for text in [String::from_utf8(streamed).unwrap(), text(&value.to_string()).into_owned()] {
-            assert!(!text.contains(|c: char| c.is_control() || turns_direction(c)), "{text}");
-            assert_eq!(serde_json::from_str::<serde_json::Value>(&text).unwrap(), value);
+        for text in [
+            String::from_utf8(streamed).unwrap(),
+            text(&value.to_string()).into_owned(),
+        ] {
+            assert!(
+                !text.contains(|c: char| c.is_control() || turns_direction(c)),
+                "{text}"
+            );
+            assert_eq!(
+                serde_json::from_str::<serde_json::Value>(&text).unwrap(),
+                value
+            );
         }
     }
 }

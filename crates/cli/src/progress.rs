@@ -128,10 +128,18 @@ impl Progress {
         };
         // A change of state is shown at once, because the next message may come much later.
         let state = Some(job.state());
-        if std::mem::replace(&mut *self.last_state.lock().unwrap_or_else(PoisonError::into_inner), state)
-            != state
+        if std::mem::replace(
+            &mut *self
+                .last_state
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner),
+            state,
+        ) != state
         {
-            *self.last_line.lock().unwrap_or_else(PoisonError::into_inner) = None;
+            *self
+                .last_line
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner) = None;
         }
         let what = counted(job);
         let cells = match job.cells_total {
@@ -149,7 +157,11 @@ impl Progress {
             Left::Seconds(seconds) => about(seconds),
             Left::NotKnown => "time left not known yet".to_owned(),
         };
-        let samples = if job.spec.as_ref().is_some_and(|s| s.method() != v1::Method::Aggressive) {
+        let samples = if job
+            .spec
+            .as_ref()
+            .is_some_and(|s| s.method() != v1::Method::Aggressive)
+        {
             // Rays come first and queries later; one rate for both would mean nothing.
             format!("{} rays and queries", job.samples)
         } else {
@@ -160,7 +172,11 @@ impl Progress {
             n => format!(", {n} SET ASIDE"),
         };
         let text = format!("{cells}, {samples}{aside}, {left}");
-        let state = job.state().as_str_name().trim_start_matches("JOB_STATE_").to_ascii_lowercase();
+        let state = job
+            .state()
+            .as_str_name()
+            .trim_start_matches("JOB_STATE_")
+            .to_ascii_lowercase();
         let more = json!({
             "job": job.id, "state": state, "cells_done": job.cells_done, "cells_total": job.cells_total,
             "samples": job.samples, "tiles_set_aside": job.tiles_set_aside, "seconds_left": seconds_left,
@@ -173,7 +189,12 @@ impl Progress {
         let seconds = self.start.elapsed().as_secs_f64();
         let left = total.saturating_sub(done) as f64;
         let left = (done > 0).then(|| seconds / done as f64 * left);
-        self.show([done, total], what, &left.map(about).unwrap_or_default(), json!({"seconds_left": left}));
+        self.show(
+            [done, total],
+            what,
+            &left.map(about).unwrap_or_default(),
+            json!({"seconds_left": left}),
+        );
     }
 
     /// Shows a count whose total still grows, without a time left.
@@ -189,13 +210,21 @@ impl Progress {
             bar.set_message(format!("{what}  {text}"));
             return;
         }
-        let mut last = self.last_line.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = self
+            .last_line
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let for_programs = AS_JSON.load(Ordering::Relaxed);
-        let every = if for_programs { EVENT_EVERY } else { LINE_EVERY };
+        let every = if for_programs {
+            EVENT_EVERY
+        } else {
+            LINE_EVERY
+        };
         if last.is_none_or(|t| t.elapsed() >= every) {
             *last = Some(Instant::now());
             if for_programs {
-                let mut event = json!({"event": "progress", "what": what, "done": done, "total": total});
+                let mut event =
+                    json!({"event": "progress", "what": what, "done": done, "total": total});
                 if let (Some(event), Value::Object(more)) = (event.as_object_mut(), more) {
                     event.extend(more);
                 }
@@ -217,7 +246,11 @@ impl Progress {
 
 /// What a job counts as its cells, in a word.
 pub fn counted(job: &v1::Job) -> &'static str {
-    if has_receivers(job) { "receivers" } else { "cells" }
+    if has_receivers(job) {
+        "receivers"
+    } else {
+        "cells"
+    }
 }
 
 /// Whether a job computes ambient occlusion at receivers.
@@ -229,7 +262,10 @@ const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";
 
 /// The time left, in words.
 fn about(seconds: f64) -> String {
-    format!("about {} left", human(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)))
+    format!(
+        "about {} left",
+        human(Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX))
+    )
 }
 
 /// A duration with a unit that suits its length.

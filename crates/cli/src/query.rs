@@ -33,7 +33,11 @@ pub fn query(args: &QueryArgs, json: bool) -> Result<(), CliError> {
         }
     };
     if cell >= pvs.cells() {
-        return Err(PvsError::NoCell { cell, cells: pvs.cells() }.into());
+        return Err(PvsError::NoCell {
+            cell,
+            cells: pvs.cells(),
+        }
+        .into());
     }
     if !pvs.is_reached(cell)? {
         return Err(CliError::Input(format!(
@@ -97,8 +101,9 @@ fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<()
 
 /// The cell of a point.
 fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<u32, CliError> {
-    let point: [f32; 3] =
-        point.try_into().map_err(|_| CliError::Usage("give a point as three numbers X Y Z".to_owned()))?;
+    let point: [f32; 3] = point
+        .try_into()
+        .map_err(|_| CliError::Usage("give a point as three numbers X Y Z".to_owned()))?;
     pvs.find_cell(point).ok_or_else(|| {
         let [min, max] = pvs.tree().view_box();
         CliError::Input(format!(
@@ -120,7 +125,13 @@ fn target(pvs: &Pvs, args: &QueryArgs, to: Option<u32>) -> Result<Option<Target>
         (false, ..) => Some(Target::Cell(cell_of(pvs, args, &args.sees)?)),
         (true, Some(b), _) => Some(Target::Box(b.min.to_array(), b.max.to_array())),
         (true, None, Some(cell)) if cell < pvs.cells() => Some(Target::Cell(cell)),
-        (true, None, Some(cell)) => return Err(PvsError::NoCell { cell, cells: pvs.cells() }.into()),
+        (true, None, Some(cell)) => {
+            return Err(PvsError::NoCell {
+                cell,
+                cells: pvs.cells(),
+            }
+            .into());
+        }
         (true, None, None) => None,
     })
 }
@@ -138,11 +149,19 @@ fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), CliErro
                 (false, false, "aggressive") => "not seen",
                 (false, false, _) => "hidden",
             };
-            (seen, json!({"to_cell": to, "state": state}), format!("cell {to} ({state})"))
+            (
+                seen,
+                json!({"to_cell": to, "state": state}),
+                format!("cell {to} ({state})"),
+            )
         }
         Target::Box(min, max) => {
             let seen = pvs.sees_box(cell, *min, *max)?;
-            (seen, json!({"box": {"min": min, "max": max}}), format!("the box {min:?} to {max:?}"))
+            (
+                seen,
+                json!({"box": {"min": min, "max": max}}),
+                format!("the box {min:?} to {max:?}"),
+            )
         }
     };
     answer["cell"] = cell.into();
@@ -150,7 +169,10 @@ fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), CliErro
     if json {
         return print(&answer.to_string());
     }
-    print(&format!("cell {cell} {} {words}", if seen { "sees" } else { "does not see" }))
+    print(&format!(
+        "cell {cell} {} {words}",
+        if seen { "sees" } else { "does not see" }
+    ))
 }
 
 /// Prints the set of a cell.
@@ -165,17 +187,33 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), CliErro
     if json {
         let [min, max] = corners(pvs, cell);
         let items = args.items.name();
-        return print_json(&Answer { cell, min, max, items, visible, undecided, set_aside });
+        return print_json(&Answer {
+            cell,
+            min,
+            max,
+            items,
+            visible,
+            undecided,
+            set_aside,
+        });
     }
     let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
-    let aside = if set_aside { "; SET ASIDE: this cell failed, everything is shown" } else { "" };
+    let aside = if set_aside {
+        "; SET ASIDE: this cell failed, everything is shown"
+    } else {
+        ""
+    };
     let what = args.items.name().trim_end_matches('s');
     print_with(|out| {
         writeln!(
             out,
             "cell {cell}, {min:?} to {max:?}: {} {}{}{aside}",
             plural(visible.count(), what),
-            if args.items == Items::Cells { "that it sees" } else { "to draw" },
+            if args.items == Items::Cells {
+                "that it sees"
+            } else {
+                "to draw"
+            },
             match undecided.count() {
                 0 => String::new(),
                 n => format!(": {} visible, {n} undecided", visible.count() - n),
@@ -188,7 +226,11 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), CliErro
                 _ => {}
             }
             match args.items {
-                Items::Objects => write!(out, "{id} {}", printable::name(&pvs.objects()[id as usize].name))?,
+                Items::Objects => write!(
+                    out,
+                    "{id} {}",
+                    printable::name(&pvs.objects()[id as usize].name)
+                )?,
                 _ => write!(out, "{id}")?,
             }
         }

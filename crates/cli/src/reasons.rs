@@ -7,7 +7,8 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{
-    Cell, Cost, ExactScene, Found, Hides, Limits, Occluders, Places, Polygon, Sources, from_cell, polygon,
+    Cell, Cost, ExactScene, Found, Hides, Limits, Occluders, Places, Polygon, Sources, from_cell,
+    polygon,
 };
 use sightline_portals::OpenFaces;
 use sightline_proto::v1;
@@ -46,7 +47,9 @@ pub fn keep_each(
             _ if undecided.binary_search(&triangle).is_ok() => {
                 json!({"state": "undecided", "reason": "add --scene for a new query"})
             }
-            Some((Reason::Seen(witness), _)) => json!({"state": "visible", "witness": witness.rounded()}),
+            Some((Reason::Seen(witness), _)) => {
+                json!({"state": "visible", "witness": witness.rounded()})
+            }
             Some((Reason::Hidden(hidden), from)) => {
                 let surface = matches!(hidden.target, Target::Surfaces | Target::Half);
                 let with = match hidden.target {
@@ -62,8 +65,12 @@ pub fn keep_each(
                 }
                 why
             }
-            None if visible.binary_search(&triangle).is_ok() => json!({"state": "visible", "meets": true}),
-            None => json!({"state": "hidden", "kind": "without area, or does not show", "blockers": []}),
+            None if visible.binary_search(&triangle).is_ok() => {
+                json!({"state": "visible", "meets": true})
+            }
+            None => {
+                json!({"state": "hidden", "kind": "without area, or does not show", "blockers": []})
+            }
         };
         if !each(triangle, answer)? {
             break;
@@ -114,7 +121,11 @@ pub fn ask_as_message(
     Ok(v1::WhyResponse {
         cell,
         state: text("state"),
-        witness: ends.iter().flat_map(list).filter_map(|x| number(&x)).collect(),
+        witness: ends
+            .iter()
+            .flat_map(list)
+            .filter_map(|x| number(&x))
+            .collect(),
         blockers: list(&answer["blockers"]).iter().filter_map(id).collect(),
         reason: match (answer["meets"] == true, answer["degenerate"] == true) {
             (true, _) => "it meets the cell".to_owned(),
@@ -174,10 +185,18 @@ pub fn ask_each(
                 };
                 let turned_away = surfaces.get_or_init(|| {
                     let meeting = overlap::triangles_in_box(scene, None, &within);
-                    exact.surfaces().seen_from(exact.occluders(), view, &meeting)
+                    exact
+                        .surfaces()
+                        .seen_from(exact.occluders(), view, &meeting)
                 });
                 let sources = Sources::new(view, places);
-                queried(exact.occluders(), &sources, target, turned_away.hides(triangle), stop)
+                queried(
+                    exact.occluders(),
+                    &sources,
+                    target,
+                    turned_away.hides(triangle),
+                    stop,
+                )
             }
         };
         if !each(triangle, answer)? {
@@ -200,7 +219,13 @@ fn queried(
         Hides::From(side) => Some(side),
         Hides::Nothing => None,
     };
-    match from_cell(occluders, sources, (&[target], half), (&Limits::default(), stop), &mut Cost::default()) {
+    match from_cell(
+        occluders,
+        sources,
+        (&[target], half),
+        (&Limits::default(), stop),
+        &mut Cost::default(),
+    ) {
         Found::Visible(ends) => {
             let witness = ends.each_ref().map(|e| polygon::rounded(e).to_array());
             json!({"state": "visible", "witness": witness})

@@ -65,13 +65,24 @@ pub fn health(args: &RemoteArgs, json: bool) -> Result<(), CliError> {
     runtime()?.block_on(async {
         let channel = client::channel(args).await?;
         let mut health = tonic_health::pb::health_client::HealthClient::new(channel);
-        let request = tonic_health::pb::HealthCheckRequest { service: "sightline.v1.Jobs".to_owned() };
-        let answer = health.check(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        let request = tonic_health::pb::HealthCheckRequest {
+            service: "sightline.v1.Jobs".to_owned(),
+        };
+        let answer = health
+            .check(request)
+            .await
+            .map_err(|s| CliError::status(&s))?
+            .into_inner();
         match answer.status() {
-            tonic_health::pb::health_check_response::ServingStatus::Serving => {
-                print(if json { r#"{"status":"serving"}"# } else { "serving" })
-            }
-            other => Err(CliError::Coordinator(format!("the coordinator is {}", other.as_str_name()))),
+            tonic_health::pb::health_check_response::ServingStatus::Serving => print(if json {
+                r#"{"status":"serving"}"#
+            } else {
+                "serving"
+            }),
+            other => Err(CliError::Coordinator(format!(
+                "the coordinator is {}",
+                other.as_str_name()
+            ))),
         }
     })
 }
@@ -81,7 +92,9 @@ pub fn watch(args: &JobRefArgs, json: bool) -> Result<(), CliError> {
     let progress = Progress::new();
     let mut show = |job: &v1::Job| progress.job(job, false);
     let remote = &args.remote;
-    let job = with(remote, |client| client::follow_on(client, remote, args.id, &mut show))?;
+    let job = with(remote, |client| {
+        client::follow_on(client, remote, args.id, &mut show)
+    })?;
     progress.end();
     say(&ending(&job));
     show_job(&job, json)?;
@@ -98,7 +111,9 @@ pub fn jobs(args: &JobsArgs, json: bool) -> Result<(), CliError> {
     }
     if let Some(first) = list.first().filter(|_| older) {
         let id = first.id;
-        say(&format!("there are older jobs: `sightline jobs --before {id}` lists them, --all lists all"));
+        say(&format!(
+            "there are older jobs: `sightline jobs --before {id}` lists them, --all lists all"
+        ));
     }
     Ok(())
 }
@@ -115,7 +130,12 @@ pub async fn listed(
         let request = v1::ListRequest {
             limit,
             before,
-            states: args.states.iter().filter_map(|state| state_named(state)).map(i32::from).collect(),
+            states: args
+                .states
+                .iter()
+                .filter_map(|state| state_named(state))
+                .map(i32::from)
+                .collect(),
             name: args.name.clone(),
             user: args.user.clone(),
             scene: Vec::new(),
@@ -147,7 +167,11 @@ pub fn show(args: &ShowArgs, json: bool) -> Result<(), CliError> {
 /// A job as it is now.
 pub async fn shown(mut client: JobsClient<Connection>, job: u64) -> Result<v1::Job, CliError> {
     let request = v1::ShowRequest { job };
-    client.show(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    client
+        .show(request)
+        .await
+        .map(tonic::Response::into_inner)
+        .map_err(|s| CliError::status(&s))
 }
 
 /// Cancels, pauses, resumes, retries or deletes.
@@ -161,7 +185,11 @@ pub fn turn(args: &JobRefArgs, turn: Turn, json: bool) -> Result<(), CliError> {
 }
 
 /// Cancels, pauses, resumes, retries or deletes; returns the job.
-pub async fn turned(mut client: JobsClient<Connection>, job: u64, turn: Turn) -> Result<v1::Job, CliError> {
+pub async fn turned(
+    mut client: JobsClient<Connection>,
+    job: u64,
+    turn: Turn,
+) -> Result<v1::Job, CliError> {
     let request = v1::ShowRequest { job };
     match turn {
         Turn::Cancel => client.cancel(request).await,
@@ -176,7 +204,10 @@ pub async fn turned(mut client: JobsClient<Connection>, job: u64, turn: Turn) ->
 
 /// Gives a job another priority.
 pub fn prioritize(args: &PriorityArgs, json: bool) -> Result<(), CliError> {
-    let request = v1::PrioritizeRequest { job: args.job.id, priority: args.priority };
+    let request = v1::PrioritizeRequest {
+        job: args.job.id,
+        priority: args.priority,
+    };
     let job = with(&args.job.remote, |client| prioritized(client, request))?;
     show_job(&job, json)
 }
@@ -186,15 +217,22 @@ pub async fn prioritized(
     mut client: JobsClient<Connection>,
     request: v1::PrioritizeRequest,
 ) -> Result<v1::Job, CliError> {
-    client.prioritize(request).await.map(tonic::Response::into_inner).map_err(|s| CliError::status(&s))
+    client
+        .prioritize(request)
+        .await
+        .map(tonic::Response::into_inner)
+        .map_err(|s| CliError::status(&s))
 }
 
 /// Downloads a result.
 pub fn fetch(args: &FetchArgs, json: bool) -> Result<(), CliError> {
     let output = Output::check(&args.output, Format::Pvs, None)?;
-    let bytes = with(&args.job.remote, |client| fetched(client, args.job.id, args.partial, &output))?;
+    let bytes = with(&args.job.remote, |client| {
+        fetched(client, args.job.id, args.partial, &output)
+    })?;
     if json {
-        let value = serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});
+        let value =
+            serde_json::json!({"output": args.output.display().to_string(), "bytes": bytes});
         return print(&value.to_string());
     }
     print(&format!("wrote {} ({bytes} bytes)", args.output.display()))

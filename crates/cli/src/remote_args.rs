@@ -14,7 +14,12 @@ use crate::traces::TraceArgs;
 #[derive(Args, Debug, Clone)]
 pub struct RemoteArgs {
     /// Address of the coordinator: https:// where it has a certificate.
-    #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:7600", env = "SIGHTLINE_COORDINATOR")]
+    #[arg(
+        long,
+        value_name = "URL",
+        default_value = "http://127.0.0.1:7600",
+        env = "SIGHTLINE_COORDINATOR"
+    )]
     #[arg(hide_env_values = true)]
     pub coordinator: String,
     #[command(flatten)]
@@ -25,17 +30,39 @@ pub struct RemoteArgs {
 #[derive(Args, Debug, Clone)]
 pub struct KeyArgs {
     /// The certificate, as PEM, of the authority that signed the coordinator's. Default: those of the system.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_CA", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_CA",
+        hide_env_values = true
+    )]
     pub ca: Option<PathBuf>,
     /// A certificate of one's own, as PEM: workers may show one instead of a token.
-    #[arg(long, value_name = "FILE", requires = "key", env = "SIGHTLINE_CERT", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "key",
+        env = "SIGHTLINE_CERT",
+        hide_env_values = true
+    )]
     pub cert: Option<PathBuf>,
     /// The key of --cert, as PEM.
-    #[arg(long, value_name = "FILE", requires = "cert", env = "SIGHTLINE_KEY", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        requires = "cert",
+        env = "SIGHTLINE_KEY",
+        hide_env_values = true
+    )]
     pub key: Option<PathBuf>,
     /// File with the token, as `sightline token new` prints it. Default: the text in SIGHTLINE_TOKEN, if it
     /// is set.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_TOKEN_FILE", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_TOKEN_FILE",
+        hide_env_values = true
+    )]
     pub token_file: Option<PathBuf>,
 }
 
@@ -65,18 +92,25 @@ impl KeyArgs {
             _ => None,
         };
         let token = match &self.token_file {
-            Some(path) => {
-                Some((String::from_utf8_lossy(&read(path)?).into_owned(), path.display().to_string()))
-            }
-            None => {
-                std::env::var(TOKEN).ok().filter(|text| !text.is_empty()).map(|text| (text, TOKEN.to_owned()))
-            }
+            Some(path) => Some((
+                String::from_utf8_lossy(&read(path)?).into_owned(),
+                path.display().to_string(),
+            )),
+            None => std::env::var(TOKEN)
+                .ok()
+                .filter(|text| !text.is_empty())
+                .map(|text| (text, TOKEN.to_owned())),
         };
         let token = token.map(|(text, from)| {
-            Bearer::of(&text)
-                .map_err(|e| CliError::Usage(format!("{from}: {e}; `sightline token new` prints one")))
+            Bearer::of(&text).map_err(|e| {
+                CliError::Usage(format!("{from}: {e}; `sightline token new` prints one"))
+            })
         });
-        Ok(Credentials { ca, identity, token: token.transpose()? })
+        Ok(Credentials {
+            ca,
+            identity,
+            token: token.transpose()?,
+        })
     }
 }
 
@@ -101,7 +135,12 @@ pub struct SubmitArgs {
     #[arg(long, value_name = "TEXT")]
     pub request_id: Option<String>,
     /// Jobs of higher priority get workers first, -1000 to 1000. Tiles at work are not taken back.
-    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        allow_negative_numbers = true
+    )]
     #[arg(value_parser = priority)]
     pub priority: i32,
     /// Who submits. Jobs of the same priority share the workers evenly between users, however many jobs each
@@ -118,7 +157,8 @@ pub struct SubmitArgs {
 
 /// Reads the number of a job.
 fn job_number(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
+    text.parse()
+        .map_err(|_| "a job is named by its number; `sightline jobs` lists the numbers".to_owned())
 }
 
 #[derive(Args, Debug)]
@@ -227,10 +267,20 @@ pub struct JobsArgs {
         value_parser = ["queued", "running", "paused", "cancelled", "failed", "done"])]
     pub states: Vec<String>,
     /// List only jobs whose name contains this text.
-    #[arg(long, value_name = "TEXT", default_value = "", hide_default_value = true)]
+    #[arg(
+        long,
+        value_name = "TEXT",
+        default_value = "",
+        hide_default_value = true
+    )]
     pub name: String,
     /// List only jobs of this user.
-    #[arg(long, value_name = "USER", default_value = "", hide_default_value = true)]
+    #[arg(
+        long,
+        value_name = "USER",
+        default_value = "",
+        hide_default_value = true
+    )]
     pub user: String,
     /// List all jobs, however many there are.
     #[arg(long, conflicts_with_all = ["limit", "before"])]

@@ -35,7 +35,9 @@ impl Listening {
         if let Some((_, url)) = &self.pages {
             print(&format!("dashboard on {url}"))?;
         }
-        self.metrics.as_ref().map_or(Ok(()), |(_, url)| print(&format!("metrics on {url}")))
+        self.metrics
+            .as_ref()
+            .map_or(Ok(()), |(_, url)| print(&format!("metrics on {url}")))
     }
 }
 
@@ -64,17 +66,26 @@ pub async fn serve(
     let name = own_name(&args.data_dir)?;
     let holder = default_name()?;
     say(&format!("the store is {database}"));
-    let joined = tokio::task::spawn_blocking(move || Replica::join(&database, &holder, &address)).await;
+    let joined =
+        tokio::task::spawn_blocking(move || Replica::join(&database, &holder, &address)).await;
     let replica = joined.map_err(CliError::internal)?.map_err(|e| input(&e))?;
     listening.announce()?;
-    let front = Front::new(credentials, tls.as_ref().is_some_and(|tls| tls.checks_workers()));
+    let front = Front::new(
+        credentials,
+        tls.as_ref().is_some_and(|tls| tls.checks_workers()),
+    );
     let leads = front.follow(&replica, move |store| {
         let blobs = config.open_blobs(Some(&name))?;
         let coordinator = Coordinator::open_on(config, Box::new(store), blobs)?;
         equip(&coordinator);
         Ok(coordinator)
     });
-    let Listening { calls, pages, metrics, .. } = listening;
+    let Listening {
+        calls,
+        pages,
+        metrics,
+        ..
+    } = listening;
     let shown = async {
         match pages {
             Some((pages, _)) => front.serve_http(pages, tls.clone()).await,
@@ -109,10 +120,15 @@ fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, CliError> {
                 .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))?,
         ),
     };
-    let credentials = Credentials { ca, ..Credentials::default() };
+    let credentials = Credentials {
+        ca,
+        ..Credentials::default()
+    };
     // The others are called like this one.
     credentials.endpoint(own).map_err(|e| {
-        CliError::Usage(format!("other coordinators cannot call {own}: {e}; see --advertise and --peer-ca"))
+        CliError::Usage(format!(
+            "other coordinators cannot call {own}: {e}; see --advertise and --peer-ca"
+        ))
     })?;
     Ok(credentials)
 }
@@ -120,10 +136,14 @@ fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, CliError> {
 /// The name under which this coordinator writes to a directory that it shares, the same at each start.
 fn own_name(data_dir: &Path) -> Result<String, CliError> {
     let path = data_dir.join("replica");
-    let unreadable = |e: std::io::Error| CliError::Input(format!("{}: cannot be used: {e}", path.display()));
+    let unreadable =
+        |e: std::io::Error| CliError::Input(format!("{}: cannot be used: {e}", path.display()));
     match std::fs::read_to_string(&path) {
         Ok(text) if text.len() == 16 && text.bytes().all(|b| b.is_ascii_hexdigit()) => Ok(text),
-        Ok(_) => Err(CliError::Input(format!("{}: holds no name; delete it, one is made", path.display()))),
+        Ok(_) => Err(CliError::Input(format!(
+            "{}: holds no name; delete it, one is made",
+            path.display()
+        ))),
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
             let name = format!("{:016x}", getrandom::u64().map_err(CliError::internal)?);
             sightline_files::write(&path, &name).map_err(unreadable)?;

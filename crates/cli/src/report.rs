@@ -36,7 +36,10 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
     let output = Output::check(&args.output, Format::Html, Some(&args.result))?;
     let budget = args.budget.as_deref().map(budget).transpose()?;
     if !(8..=1024).contains(&args.resolution) {
-        return Err(CliError::Usage(format!("--resolution {} is not between 8 and 1024", args.resolution)));
+        return Err(CliError::Usage(format!(
+            "--resolution {} is not between 8 and 1024",
+            args.resolution
+        )));
     }
     serve::use_threads(serve::threads(None))?;
     let pvs = opening::open(&args.result)?;
@@ -44,7 +47,10 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
     let costs = &found.costs;
     let over = over_budget(&pvs, &found.by_object, budget.as_ref(), COSTLIEST);
     let bounds = cells::bounds_of_cells(&pvs)?;
-    let sizes = costs.cells.iter().map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
+    let sizes = costs
+        .cells
+        .iter()
+        .map(|drawn| drawn.iter().map(|(_, count)| u64::from(*count)).sum());
     let about = About {
         title: title(&args.result),
         summary: Summary::of(&args.result)?.lines(),
@@ -56,8 +62,17 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
         blame: found.blame.clone(),
     };
     let text = page(&about, &|bytes| STANDARD.encode(bytes));
-    output.write(|out| out.write_all(text.as_bytes()).map_err(|e| CliError::writing(output.path(), &e)))?;
-    tell(&output, &found.error, (&over, budget.is_some()), &found.blame, as_json)?;
+    output.write(|out| {
+        out.write_all(text.as_bytes())
+            .map_err(|e| CliError::writing(output.path(), &e))
+    })?;
+    tell(
+        &output,
+        &found.error,
+        (&over, budget.is_some()),
+        &found.blame,
+        as_json,
+    )?;
     if args.fail_over_budget && budget.is_some() && !over.is_empty() {
         let cells = opening::plural(over.len(), "cell");
         return Err(CliError::Different(format!("{cells} are over the budget")));
@@ -66,7 +81,11 @@ pub fn run(args: &ReportArgs, as_json: bool) -> Result<(), CliError> {
 }
 
 fn title(result: &Path) -> String {
-    result.file_name().unwrap_or(result.as_os_str()).to_string_lossy().into_owned()
+    result
+        .file_name()
+        .unwrap_or(result.as_os_str())
+        .to_string_lossy()
+        .into_owned()
 }
 
 /// Reads a budget.
@@ -99,21 +118,33 @@ struct Found {
 
 /// Measures the error and looks for openings.
 fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
-    let scene = Arc::new(opening::scene_of(&args.scene, &args.kinds, pvs, &args.result)?);
+    let scene = Arc::new(opening::scene_of(
+        &args.scene,
+        &args.kinds,
+        pvs,
+        &args.result,
+    )?);
     let region = enclosure::of_result(pvs, &scene, &args.result)?;
     let is_place = |p: [f32; 3]| {
-        pvs.find_cell(p).is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
+        pvs.find_cell(p)
+            .is_some_and(|c| pvs.is_reached(c).unwrap_or(false))
             && region.as_ref().is_none_or(|region| region.holds(p.into()))
     };
-    let views = Viewpoints::random_where(args.viewpoints, args.seed, pvs.tree().view_box(), is_place);
-    let spec = CubeSpec { resolution: args.resolution, strata: Strata::One, keep_pixels: false };
+    let views =
+        Viewpoints::random_where(args.viewpoints, args.seed, pvs.tree().view_box(), is_place);
+    let spec = CubeSpec {
+        resolution: args.resolution,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let (profile, backend) = open_backend(args.backend, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     say_other(info["profile"].as_str().unwrap_or_default(), &profile);
     let far = info["sampling"]["far"].as_f64();
-    let renderer = layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
+    let renderer =
+        layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let folder = tempfile::tempdir().map_err(CliError::internal)?;
     let options = Options {
         images_dir: Some(folder.path().to_owned()),
@@ -131,17 +162,31 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     let mut frames = Vec::new();
     for frame in error.worst.iter().filter(|frame| frame.error > 0.0) {
         if let Some(path) = &frame.image {
-            frames.push((frame.clone(), std::fs::read(path).map_err(CliError::internal)?));
+            frames.push((
+                frame.clone(),
+                std::fs::read(path).map_err(CliError::internal)?,
+            ));
         }
     }
-    let input = |e: sightline_report::ReportError| CliError::Input(format!("{}: {e}", args.result.display()));
+    let input = |e: sightline_report::ReportError| {
+        CliError::Input(format!("{}: {e}", args.result.display()))
+    };
     let costs = Costs::of(pvs, &scene).map_err(input)?;
     let by_object = Costs::of_objects(pvs, &scene).map_err(input)?;
-    let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?.up_to(far);
+    let sight = Sight::new(&*backend, prepared.traced())
+        .map_err(CliError::internal)?
+        .up_to(far);
     // Viewpoints inside of walls count where the result says so, as the sets count them.
     let in_region = |p: glam::Vec3| region.as_ref().is_none_or(|region| region.holds(p));
-    let blame = blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;
-    Ok(Found { error, frames, costs, by_object, blame })
+    let blame =
+        blame(&sight, (pvs, &scene), &costs, (args.seed, step), &in_region).map_err(input)?;
+    Ok(Found {
+        error,
+        frames,
+        costs,
+        by_object,
+        blame,
+    })
 }
 
 /// Says on stdout what is in the report.

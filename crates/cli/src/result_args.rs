@@ -134,7 +134,12 @@ pub struct ViewArgs {
     #[arg(long, value_parser = choice::<Up>())]
     pub up: Option<Up>,
     /// The port of this machine on which the page is served; 0 for any that is free.
-    #[arg(long, value_name = "PORT", default_value_t = 0, conflicts_with = "output")]
+    #[arg(
+        long,
+        value_name = "PORT",
+        default_value_t = 0,
+        conflicts_with = "output"
+    )]
     pub port: u16,
     /// Open no browser.
     #[arg(long, conflicts_with = "output")]

@@ -19,7 +19,10 @@ use crate::serve_args::WorkerArgs;
 
 /// Runs a worker. The first SIGTERM or Ctrl-C lets it finish its tiles, the second one stops it at once.
 pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
-    let adapter = args.adapter.clone().map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
+    let adapter = args
+        .adapter
+        .clone()
+        .map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
     if args.backend == BackendChoice::None {
         return Err(CliError::Usage(
             "a worker without a backend can only take jobs of the method portals and of ambient occlusion, \
@@ -62,11 +65,15 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
             }
             std::future::pending::<()>().await;
         });
-        sightline_worker::run(config, stopped).await.map_err(|e| match e {
-            WorkerError::Address(..) => CliError::Usage(e.to_string()),
-            WorkerError::Random(_) => CliError::internal(e),
-            WorkerError::Unreachable { .. } | WorkerError::Refused(_) => CliError::Coordinator(e.to_string()),
-        })
+        sightline_worker::run(config, stopped)
+            .await
+            .map_err(|e| match e {
+                WorkerError::Address(..) => CliError::Usage(e.to_string()),
+                WorkerError::Random(_) => CliError::internal(e),
+                WorkerError::Unreachable { .. } | WorkerError::Refused(_) => {
+                    CliError::Coordinator(e.to_string())
+                }
+            })
     });
     runtime.shutdown_timeout(Duration::from_millis(200));
     ended
@@ -79,7 +86,10 @@ async fn watch_at(address: SocketAddr, pulse: Arc<Pulse>) -> Result<(), CliError
     let listener = listener.map_err(|e| CliError::Usage(format!("--metrics-listen: {e}")))?;
     let address = listener.local_addr().map_err(CliError::internal)?;
     print(&format!("metrics on http://{address}/metrics"))?;
-    tokio::spawn(sightline_coordinator::serve_probes(Arc::new(Watched(pulse)), listener));
+    tokio::spawn(sightline_coordinator::serve_probes(
+        Arc::new(Watched(pulse)),
+        listener,
+    ));
     Ok(())
 }
 
@@ -96,14 +106,22 @@ impl Probed for Watched {
             u8::from(self.0.is_connected())
         );
         for (outcome, count) in self.0.tiles() {
-            text.push_str(&format!("sightline_worker_tiles_total{{outcome=\"{outcome}\"}} {count}\n"));
+            text.push_str(&format!(
+                "sightline_worker_tiles_total{{outcome=\"{outcome}\"}} {count}\n"
+            ));
         }
         let moved = self.0.transfers();
         text.push_str(
             "# HELP sightline_worker_blobs Scenes, packs and outputs, by how they went.\n\
              # TYPE sightline_worker_blobs counter\n",
         );
-        for Moved { direction, way, blobs, .. } in &moved {
+        for Moved {
+            direction,
+            way,
+            blobs,
+            ..
+        } in &moved
+        {
             let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
             text.push_str(&format!("sightline_worker_blobs_total{labels} {blobs}\n"));
         }
@@ -111,9 +129,17 @@ impl Probed for Watched {
             "# HELP sightline_worker_blob_bytes Their bytes.\n# TYPE sightline_worker_blob_bytes counter\n\
              # UNIT sightline_worker_blob_bytes bytes\n",
         );
-        for Moved { direction, way, bytes, .. } in &moved {
+        for Moved {
+            direction,
+            way,
+            bytes,
+            ..
+        } in &moved
+        {
             let labels = format!("{{direction=\"{direction}\",way=\"{way}\"}}");
-            text.push_str(&format!("sightline_worker_blob_bytes_total{labels} {bytes}\n"));
+            text.push_str(&format!(
+                "sightline_worker_blob_bytes_total{labels} {bytes}\n"
+            ));
         }
         text.push_str("# EOF\n");
         Ok(text)
@@ -122,18 +148,27 @@ impl Probed for Watched {
     fn readiness(&self) -> Result<(), Vec<String>> {
         match self.0.is_connected() {
             true => Ok(()),
-            false => Err(vec!["no coordinator knows this worker at the moment".to_owned()]),
+            false => Err(vec![
+                "no coordinator knows this worker at the moment".to_owned(),
+            ]),
         }
     }
 }
 
 /// Refuses an `--adapter` that matches no adapter of this machine; the error lists the names.
 fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
-    let Some(part) = args.adapter.as_ref().filter(|_| args.backend != BackendChoice::Cpu) else {
+    let Some(part) = args
+        .adapter
+        .as_ref()
+        .filter(|_| args.backend != BackendChoice::Cpu)
+    else {
         return Ok(());
     };
     let names: Vec<String> = adapters().into_iter().map(|a| a.name).collect();
-    if names.iter().any(|name| name.to_lowercase().contains(&part.to_lowercase())) {
+    if names
+        .iter()
+        .any(|name| name.to_lowercase().contains(&part.to_lowercase()))
+    {
         return Ok(());
     }
     Err(CliError::Usage(if names.is_empty() {
@@ -141,7 +176,10 @@ fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
             "--adapter {part}: this machine has no Vulkan adapter; install a driver, or use --backend cpu"
         )
     } else {
-        format!("--adapter {part} matches no adapter; give part of one of these names: {}", names.join(", "))
+        format!(
+            "--adapter {part} matches no adapter; give part of one of these names: {}",
+            names.join(", ")
+        )
     }))
 }
 
@@ -164,7 +202,9 @@ pub async fn stop_signal() {
 
 /// The number of threads to use: the given one, otherwise one per core; 1 to 1024.
 pub fn threads(asked: Option<usize>) -> usize {
-    asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)).clamp(1, 1024)
+    asked
+        .unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+        .clamp(1, 1024)
 }
 
 /// Sets the size of the process's thread pool, which reads scenes, samples, answers queries and codes
@@ -174,7 +214,10 @@ pub fn use_threads(threads: usize) -> Result<(), CliError> {
     static IS_SET: Mutex<bool> = Mutex::new(false);
     let mut is_set = IS_SET.lock().unwrap_or_else(PoisonError::into_inner);
     if !*is_set {
-        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().map_err(CliError::internal)?;
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build_global()
+            .map_err(CliError::internal)?;
         *is_set = true;
     }
     Ok(())
@@ -219,9 +262,17 @@ pub fn print_with(
 /// The host's name, the process and a random number: containers may share the first two.
 pub fn default_name() -> Result<String, CliError> {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let host: String =
-        host.trim().chars().filter(|c| c.is_ascii_alphanumeric() || *c == '-').take(40).collect();
-    let host = if host.is_empty() { "worker".to_owned() } else { host };
+    let host: String = host
+        .trim()
+        .chars()
+        .filter(|c| c.is_ascii_alphanumeric() || *c == '-')
+        .take(40)
+        .collect();
+    let host = if host.is_empty() {
+        "worker".to_owned()
+    } else {
+        host
+    };
     let random = getrandom::u32().map_err(CliError::internal)? as u16;
     Ok(format!("{host}-{}-{random:04x}", std::process::id()))
 }

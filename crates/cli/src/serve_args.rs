@@ -95,10 +95,20 @@ pub struct StoreArgs {
     /// Where the records of jobs, scenes and tiles are: sled:DIR on this disk, memory: until the end, or
     /// postgres://USER@HOST/DATABASE, which several coordinators share: one leads, the others pass calls on
     /// to it. The database's password is in PGPASSWORD. Default: sled in the data directory.
-    #[arg(long, value_name = "URL", env = "SIGHTLINE_STORE", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "SIGHTLINE_STORE",
+        hide_env_values = true
+    )]
     pub store: Option<String>,
     /// The authority of the database's certificate, as PEM. Default: those of the system.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_STORE_CA",
+        hide_env_values = true
+    )]
     pub store_ca: Option<PathBuf>,
     /// Where the other coordinators of the database call this one. Default: the address of --listen.
     #[arg(long, value_name = "URL")]
@@ -111,7 +121,9 @@ pub struct StoreArgs {
 impl std::fmt::Debug for StoreArgs {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         // The address may hold a password.
-        f.debug_struct("StoreArgs").field("advertise", &self.advertise).finish_non_exhaustive()
+        f.debug_struct("StoreArgs")
+            .field("advertise", &self.advertise)
+            .finish_non_exhaustive()
     }
 }
 
@@ -161,6 +173,9 @@ fn share(text: &str) -> Result<f64, String> {
 fn thread_count(text: &str) -> Result<usize, String> {
     match text.parse() {
         Ok(n @ 1..=1024) => Ok(n),
-        _ => Err("give a number from 1 to 1024, or leave --threads out for one thread per core".to_owned()),
+        _ => Err(
+            "give a number from 1 to 1024, or leave --threads out for one thread per core"
+                .to_owned(),
+        ),
     }
 }

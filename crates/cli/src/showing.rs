@@ -24,7 +24,12 @@ pub fn show_whole(job: &v1::Job, json: bool) -> Result<(), CliError> {
         fields.iter().map(shown).collect::<String>()
     });
     let trace = TraceId::of_bytes(&job.trace).map(|trace| format!("\n  its trace is {trace}"));
-    print(&format!("{}{}{}", listing(job), trace.unwrap_or_default(), spec.unwrap_or_default()))
+    print(&format!(
+        "{}{}{}",
+        listing(job),
+        trace.unwrap_or_default(),
+        spec.unwrap_or_default()
+    ))
 }
 
 /// A job in a line with its age and, while it runs, the time left.
@@ -34,9 +39,13 @@ pub fn listing(job: &v1::Job) -> String {
         0 => format!("submitted {} ago", since(job.submitted_at_ms)),
         end => format!("ended {} ago", since(end)),
     };
-    let left = job.left_millis.map(|ms| format!(", about {} left", human(Duration::from_millis(ms))));
+    let left = job
+        .left_millis
+        .map(|ms| format!(", about {} left", human(Duration::from_millis(ms))));
     let whole = line(job);
-    let (first, rest) = whole.split_once('\n').map_or((&*whole, None), |(first, rest)| (first, Some(rest)));
+    let (first, rest) = whole
+        .split_once('\n')
+        .map_or((&*whole, None), |(first, rest)| (first, Some(rest)));
     let rest = rest.map(|rest| format!("\n{rest}")).unwrap_or_default();
     format!("{first}, {age}{}{rest}", left.unwrap_or_default())
 }
@@ -46,19 +55,33 @@ pub fn listing(job: &v1::Job) -> String {
 pub fn ending(job: &v1::Job) -> String {
     let took = Duration::from_millis(job.finished_at_ms.saturating_sub(job.submitted_at_ms));
     let next = match job.state() {
-        v1::JobState::Done if has_receivers(job) => format!("; its result has {} bytes", job.result_bytes),
+        v1::JobState::Done if has_receivers(job) => {
+            format!("; its result has {} bytes", job.result_bytes)
+        }
         v1::JobState::Done => {
             let bytes = job.result_bytes;
-            format!("; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it", job.id)
+            format!(
+                "; its result has {bytes} bytes, `sightline fetch {} -o FILE.pvs` downloads it",
+                job.id
+            )
         }
         _ => String::new(),
     };
-    format!("job {} ended as {} {} after its submission{next}", job.id, state(job), human(took))
+    format!(
+        "job {} ended as {} {} after its submission{next}",
+        job.id,
+        state(job),
+        human(took)
+    )
 }
 
 /// Prints a job.
 pub fn show_job(job: &v1::Job, json: bool) -> Result<(), CliError> {
-    print(&if json { value(job).to_string() } else { line(job) })
+    print(&if json {
+        value(job).to_string()
+    } else {
+        line(job)
+    })
 }
 
 /// The state of a job in a word.
@@ -76,7 +99,11 @@ pub fn state(job: &v1::Job) -> &'static str {
 
 /// A job in one line, a line for each tile at work, and one for each reason why workers cannot work on it.
 pub fn line(job: &v1::Job) -> String {
-    let reason = if job.reason.is_empty() { String::new() } else { format!(": {}", job.reason) };
+    let reason = if job.reason.is_empty() {
+        String::new()
+    } else {
+        format!(": {}", job.reason)
+    };
     // Only a job that has ended can be retried.
     let again = match job.state() {
         v1::JobState::Done | v1::JobState::Failed | v1::JobState::Cancelled => {
@@ -98,11 +125,22 @@ pub fn line(job: &v1::Job) -> String {
         0 => String::new(),
         n => format!(", priority {n}"),
     };
-    let user = if job.user.is_empty() { String::new() } else { format!(" of {}", job.user) };
-    let teams: String = job.teams.iter().map(|t| format!("\n  {}", team_line(t))).collect();
+    let user = if job.user.is_empty() {
+        String::new()
+    } else {
+        format!(" of {}", job.user)
+    };
+    let teams: String = job
+        .teams
+        .iter()
+        .map(|t| format!("\n  {}", team_line(t)))
+        .collect();
     // Workers without a tile have nothing to do then, by design.
     let alone = job.spec.as_ref().is_some_and(|s| {
-        let cubes = s.sampling.as_ref().is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
+        let cubes = s
+            .sampling
+            .as_ref()
+            .is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
         s.time_budget_ms() > 0 || cubes || s.ambient.is_some()
     });
     let alone = if alone && !job.teams.is_empty() {
@@ -110,7 +148,11 @@ pub fn line(job: &v1::Job) -> String {
     } else {
         ""
     };
-    let more: String = job.unable.iter().map(|u| format!("\n  {}", unable_line(u))).collect();
+    let more: String = job
+        .unable
+        .iter()
+        .map(|u| format!("\n  {}", unable_line(u)))
+        .collect();
     let more = format!("{teams}{alone}{more}");
     format!(
         "job {} {}{user} {}{reason}: {}/{} tiles{aside}, {} {}, {} samples{priority}{workers}{more}",
@@ -128,11 +170,16 @@ pub fn line(job: &v1::Job) -> String {
 fn team_line(t: &v1::Team) -> String {
     let v1::Team { tile, leader, .. } = t;
     if !t.has_begun {
-        return format!("tile {tile}: worker {leader} has it and has not begun (it prepares, or is busy)");
+        return format!(
+            "tile {tile}: worker {leader} has it and has not begun (it prepares, or is busy)"
+        );
     }
     match &t.helpers[..] {
         [] => format!("tile {tile}: worker {leader} computes it"),
-        helpers => format!("tile {tile}: worker {leader} leads, helped by {}", helpers.join(", ")),
+        helpers => format!(
+            "tile {tile}: worker {leader} leads, helped by {}",
+            helpers.join(", ")
+        ),
     }
 }
 
@@ -142,7 +189,11 @@ fn unable_line(u: &v1::UnableWorkers) -> String {
         more => format!(" and {more} more"),
     };
     let worker = if u.workers == 1 { "worker" } else { "workers" };
-    format!("{worker} {}{more} cannot help: {}", u.names.join(", "), u.reason)
+    format!(
+        "{worker} {}{more} cannot help: {}",
+        u.names.join(", "),
+        u.reason
+    )
 }
 
 fn unable(u: &v1::UnableWorkers) -> serde_json::Value {
@@ -189,9 +240,15 @@ mod tests {
         };
         job.set_state(v1::JobState::Done);
         let text = ending(&job);
-        assert!(text.starts_with("job 7 ended as done ") && text.contains("sightline fetch 7"), "{text}");
+        assert!(
+            text.starts_with("job 7 ended as done ") && text.contains("sightline fetch 7"),
+            "{text}"
+        );
         job.set_state(v1::JobState::Cancelled);
         let text = ending(&job);
-        assert!(text.starts_with("job 7 ended as cancelled ") && !text.contains("fetch"), "{text}");
+        assert!(
+            text.starts_with("job 7 ended as cancelled ") && !text.contains("fetch"),
+            "{text}"
+        );
     }
 }

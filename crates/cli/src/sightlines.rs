@@ -47,8 +47,14 @@ impl Blocking {
         let blocks = |t: u32| scene.kinds().kind(t).blocks();
         let each = (0..).zip(scene.triangles());
         Self {
-            only: each.clone().filter(|(t, _)| blocks(*t)).map(|(_, t)| t.v).collect(),
-            by_id: each.map(|(t, v)| if blocks(t) { v.v } else { [v.v[0]; 3] }).collect(),
+            only: each
+                .clone()
+                .filter(|(t, _)| blocks(*t))
+                .map(|(_, t)| t.v)
+                .collect(),
+            by_id: each
+                .map(|(t, v)| if blocks(t) { v.v } else { [v.v[0]; 3] })
+                .collect(),
         }
     }
 }
@@ -65,13 +71,23 @@ struct Totals {
 /// Answers every query of a file, in order.
 pub fn run(args: &SightlinesArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let mut input =
-        JsonLines::open(&args.queries, "--queries", r#"{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}"#)?;
+    let mut input = JsonLines::open(
+        &args.queries,
+        "--queries",
+        r#"{"id":1,"a":[[x,y,z],…],"b":[[x,y,z],…]}"#,
+    )?;
     let scene = opening::scene(&args.scene, &args.kinds)?;
     opening::without_masks(&scene)?;
     let occluders = Occluders::new(&scene)?;
-    let raw = if args.check { Blocking::of(&scene) } else { Blocking::default() };
-    let limits = Limits { regions: args.max_regions, ..Limits::default() };
+    let raw = if args.check {
+        Blocking::of(&scene)
+    } else {
+        Blocking::default()
+    };
+    let limits = Limits {
+        regions: args.max_regions,
+        ..Limits::default()
+    };
     let start = Instant::now();
     let progress = Progress::new();
     let mut totals = Totals::default();
@@ -124,7 +140,11 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
         totals.hidden,
         totals.undecided,
         human(took),
-        if checked { ", each witness and proof of these accepted by the checker" } else { "" },
+        if checked {
+            ", each witness and proof of these accepted by the checker"
+        } else {
+            ""
+        },
         totals.cost.regions,
         d.filtered + d.refined + d.spanned + d.exact,
         100.0 * d.exact as f64 / all as f64,
@@ -147,7 +167,10 @@ fn answer(
     let micros = start.elapsed().as_micros() as u64;
     if check {
         let exact = |polygons: &[Polygon]| -> Vec<checker::Corners> {
-            polygons.iter().map(|p| p.points().iter().map(predicates::integers).collect()).collect()
+            polygons
+                .iter()
+                .map(|p| p.points().iter().map(predicates::integers).collect())
+                .collect()
         };
         let (a, b) = (exact(&query.a), exact(&query.b));
         let refused = match &verdict {

@@ -45,15 +45,24 @@ struct Query {
 /// Answers every query of a file, in order.
 pub fn run(args: &StabArgs) -> Result<(), CliError> {
     serve::use_threads(threads(args.threads.map(usize::from)))?;
-    let mut input = JsonLines::open(&args.queries, "--queries", r#"{"id":1,"portals":[[[x,y,z],…],…]}"#)?;
-    let limits = Limits { regions: args.max_regions, ..Limits::default() };
+    let mut input = JsonLines::open(
+        &args.queries,
+        "--queries",
+        r#"{"id":1,"portals":[[[x,y,z],…],…]}"#,
+    )?;
+    let limits = Limits {
+        regions: args.max_regions,
+        ..Limits::default()
+    };
     let mut counts = [0u64; 3];
     let ended = loop {
         // A bad line ends the run after all queries before it have been answered.
         let (queries, failure) = input.read(check);
         let last = queries.is_empty();
-        let answers: Vec<(usize, Value)> =
-            queries.into_par_iter().map(|q| answer(&q, &limits, args.swaths)).collect();
+        let answers: Vec<(usize, Value)> = queries
+            .into_par_iter()
+            .map(|q| answer(&q, &limits, args.swaths))
+            .collect();
         for (kind, value) in answers {
             counts[kind] += 1;
             print(&value.to_string())?;
@@ -68,7 +77,9 @@ pub fn run(args: &StabArgs) -> Result<(), CliError> {
         say("only the queries before the bad line were answered:");
     }
     let [stabbed, blocked, undecided] = counts;
-    say(&format!("{stabbed} stabbed, {blocked} blocked, {undecided} undecided"));
+    say(&format!(
+        "{stabbed} stabbed, {blocked} blocked, {undecided} undecided"
+    ));
     if undecided > 0 {
         say("a greater --max-regions may decide the undecided sequences");
     }
@@ -90,9 +101,10 @@ fn answer(query: &Query, limits: &Limits, with_swaths: bool) -> (usize, Value) {
             (0, value)
         }
         Stabbed::Blocked => (1, json!({"id": id, "state": "blocked", "micros": micros})),
-        Stabbed::Undecided(reason) => {
-            (2, json!({"id": id, "state": "undecided", "reason": reason.to_string(), "micros": micros}))
-        }
+        Stabbed::Undecided(reason) => (
+            2,
+            json!({"id": id, "state": "undecided", "reason": reason.to_string(), "micros": micros}),
+        ),
     }
 }
 
@@ -156,14 +168,18 @@ fn in_order(portals: &[Polygon], [p, q]: &[Source; 2]) -> bool {
         .iter()
         .map(|portal| {
             let plane = portal.plane();
-            let (at_a, at_b) =
-                (predicates::height(&plane, &a) * &b[3], predicates::height(&plane, &b) * &a[3]);
+            let (at_a, at_b) = (
+                predicates::height(&plane, &a) * &b[3],
+                predicates::height(&plane, &b) * &a[3],
+            );
             let (n, d) = (at_a.clone(), at_a - at_b);
             if d < IBig::ZERO { (-n, -d) } else { (n, d) }
         })
         .collect();
     places.iter().all(|(_, d)| !d.is_zero())
-        && places.windows(2).all(|w| &w[0].0 * &w[1].1 < &w[1].0 * &w[0].1)
+        && places
+            .windows(2)
+            .all(|w| &w[0].0 * &w[1].1 < &w[1].0 * &w[0].1)
 }
 
 fn check(line: Line) -> Result<Query, String> {
@@ -176,7 +192,10 @@ fn check(line: Line) -> Result<Query, String> {
             .and_then(|corners| Polygon::exact(corners).map_err(|e| e.to_string()))
             .map_err(|why| format!("polygon {k}: {why}"))
     });
-    Ok(Query { portals: portals.collect::<Result<_, _>>()?, id: line.id })
+    Ok(Query {
+        portals: portals.collect::<Result<_, _>>()?,
+        id: line.id,
+    })
 }
 
 fn point(corner: &[Coordinate; 3]) -> Result<Source, String> {
@@ -204,15 +223,28 @@ fn point(corner: &[Coordinate; 3]) -> Result<Source, String> {
         });
     }
     let [(x, a), (y, b), (z, c)] = [0, 1, 2].map(|i| parts[i].clone());
-    Ok(Source::Exact(Box::new([x * &b * &c, y * &a * &c, z * &a * &b, a * b * c])))
+    Ok(Source::Exact(Box::new([
+        x * &b * &c,
+        y * &a * &c,
+        z * &a * &b,
+        a * b * c,
+    ])))
 }
 
 fn fraction(text: &str) -> Result<(IBig, IBig), String> {
     let bad = || {
-        format!("{text:?} is no fraction; give two whole numbers of at most {MOST_DIGITS} digits, \"p/q\"")
+        format!(
+            "{text:?} is no fraction; give two whole numbers of at most {MOST_DIGITS} digits, \"p/q\""
+        )
     };
     let (n, d) = text.split_once('/').unwrap_or((text, "1"));
-    let number = |t: &str| if t.len() <= MOST_DIGITS + 1 { t.trim().parse::<IBig>().ok() } else { None };
+    let number = |t: &str| {
+        if t.len() <= MOST_DIGITS + 1 {
+            t.trim().parse::<IBig>().ok()
+        } else {
+            None
+        }
+    };
     let (n, d) = number(n).zip(number(d)).ok_or_else(bad)?;
     if d.is_zero() {
         return Err(format!("{text:?} has a denominator of 0"));

@@ -100,8 +100,14 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
         Some(folder) if !changes => {
             let inspection = SledStore::inspect(folder).map_err(of_store)?;
             let outcome = look(args, &inspection.store)?;
-            let journal = inspection.damage.map(|damage| (folder.join("journal"), damage));
-            Outcome { journal, is_marked: Some(inspection.is_marked), ..outcome }
+            let journal = inspection
+                .damage
+                .map(|damage| (folder.join("journal"), damage));
+            Outcome {
+                journal,
+                is_marked: Some(inspection.is_marked),
+                ..outcome
+            }
         }
         Some(folder) => {
             let repaired = match args.repair {
@@ -111,7 +117,10 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
             let opened = Opened::on_disk(folder)?;
             let looked = look(args, &*opened.store);
             opened.close();
-            Outcome { repaired, ..looked? }
+            Outcome {
+                repaired,
+                ..looked?
+            }
         }
         None => {
             let address = args.store.as_deref().unwrap_or_default();
@@ -128,13 +137,23 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), CliError> {
     }
     if let Some((path, damage)) = outcome.journal {
         let (offset, lost) = (damage.offset, damage.loss());
-        let error = JournalError::Damaged { path, offset, what: damage.what, lost };
+        let error = JournalError::Damaged {
+            path,
+            offset,
+            what: damage.what,
+            lost,
+        };
         return Err(CliError::Input(error.to_string()));
     }
     let Outcome { found, opened, .. } = outcome;
     // What is repaired is not lost, but for what has to be sent again.
-    let mut rest = found.lost.values().filter(|(needs, _)| opened.is_none() || must_be_sent(needs));
-    let Some((needs, why)) = rest.next() else { return Ok(()) };
+    let mut rest = found
+        .lost
+        .values()
+        .filter(|(needs, _)| opened.is_none() || must_be_sent(needs));
+    let Some((needs, why)) = rest.next() else {
+        return Ok(());
+    };
     let needs: Vec<String> = needs.iter().map(need_text).collect();
     Err(CliError::Input(format!(
         "lost blobs: {}, first {}: {why}; --repair has the next start compute again what it can, and \
@@ -178,11 +197,20 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, CliError> {
         Ownership::Unnamed if found.blobs == 0 => Ownership::Own,
         other => other,
     };
-    Ok(Outcome { found, opened, journal: None, is_marked: None, repaired: None, ownership })
+    Ok(Outcome {
+        found,
+        opened,
+        journal: None,
+        is_marked: None,
+        repaired: None,
+        ownership,
+    })
 }
 
 fn must_be_sent(needs: &[Need]) -> bool {
-    needs.iter().any(|need| matches!(need, Need::Scene | Need::Spec(_)))
+    needs
+        .iter()
+        .any(|need| matches!(need, Need::Scene | Need::Spec(_)))
 }
 
 fn need_text(need: &Need) -> String {
@@ -195,13 +223,25 @@ fn need_text(need: &Need) -> String {
 }
 
 fn report(outcome: &Outcome) -> Value {
-    let Outcome { found, opened, journal, is_marked, repaired, ownership } = outcome;
+    let Outcome {
+        found,
+        opened,
+        journal,
+        is_marked,
+        repaired,
+        ownership,
+    } = outcome;
     let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| {
         let needed: Vec<String> = needs.iter().map(need_text).collect();
         json!({"why": why, "needed": needed})
     };
-    let damage = journal.as_ref().map(|(_, damage)| damage).or(repaired.as_ref().map(|r| &r.damage));
-    let damaged = repaired.as_ref().and_then(|repaired| repaired.damaged.as_ref());
+    let damage = journal
+        .as_ref()
+        .map(|(_, damage)| damage)
+        .or(repaired.as_ref().map(|r| &r.damage));
+    let damaged = repaired
+        .as_ref()
+        .and_then(|repaired| repaired.damaged.as_ref());
     let owner = match ownership {
         Ownership::Own => "own",
         Ownership::Foreign(_) => "foreign",
@@ -222,11 +262,18 @@ fn report(outcome: &Outcome) -> Value {
 }
 
 fn tell(outcome: &Outcome) -> Result<(), CliError> {
-    let Outcome { found, opened, repaired, ownership, journal, is_marked } = outcome;
+    let Outcome {
+        found,
+        opened,
+        repaired,
+        ownership,
+        journal,
+        is_marked,
+    } = outcome;
     if let Some(Repaired { damage, damaged }) = repaired {
-        let copy = damaged
-            .as_ref()
-            .map_or_else(String::new, |path| format!("; the damaged journal is kept as {}", path.display()));
+        let copy = damaged.as_ref().map_or_else(String::new, |path| {
+            format!("; the damaged journal is kept as {}", path.display())
+        });
         print(&format!(
             "the journal was damaged at byte {} ({}) and is repaired: {}{copy}",
             damage.offset,
@@ -261,7 +308,9 @@ fn tell(outcome: &Outcome) -> Result<(), CliError> {
         print(&format!("LOST: {}: {why}", needs.join(", ")))?;
     }
     match opened {
-        Some(tiles) => print(&format!("tiles to compute again when the coordinator runs: {tiles}")),
+        Some(tiles) => print(&format!(
+            "tiles to compute again when the coordinator runs: {tiles}"
+        )),
         None if found.lost.is_empty() && journal.is_none() => {
             let is_repaired = repaired.is_some();
             print(if is_repaired {
@@ -279,7 +328,10 @@ fn compact(args: &PlaceArgs, json: bool) -> Result<(), CliError> {
     if json {
         return print(&json!({"from_bytes": done.from, "to_bytes": done.to}).to_string());
     }
-    print(&format!("the journal had {} bytes and has {}", done.from, done.to))
+    print(&format!(
+        "the journal had {} bytes and has {}",
+        done.from, done.to
+    ))
 }
 
 /// Returns a number with a noun.
@@ -310,14 +362,21 @@ fn export(args: &ExportArgs, json: bool) -> Result<(), CliError> {
     let entries = open(&args.place)?.entries().map_err(of_store)?;
     let count = entries.len();
     let write = |file: &mut dyn Write| -> std::io::Result<()> {
-        let mut out = Hashed { to: file, hasher: blake3::Hasher::new() };
+        let mut out = Hashed {
+            to: file,
+            hasher: blake3::Hasher::new(),
+        };
         writeln!(out, "{}", json!({"format": FORMAT, "version": VERSION}))?;
         for entry in &entries {
             let (key, value) = entry.written();
             writeln!(out, "{}", json!([key, value]))?;
         }
         let digest = out.hasher.finalize().to_hex();
-        writeln!(out, "{}", json!({"records": count, "blake3": digest.as_str()}))?;
+        writeln!(
+            out,
+            "{}",
+            json!({"records": count, "blake3": digest.as_str()})
+        )?;
         out.flush()
     };
     output.write(|file| write(file).map_err(|e| CliError::writing(&args.output, &e)))?;
@@ -332,9 +391,11 @@ fn export(args: &ExportArgs, json: bool) -> Result<(), CliError> {
 
 /// The entries of an export, its header and its end checked.
 fn read(path: &Path) -> Result<Vec<Entry>, CliError> {
-    let bad = |line: usize, what: &str| CliError::Input(format!("{}, line {line}: {what}", path.display()));
-    let file =
-        File::open(path).map_err(|e| CliError::Input(format!("cannot read {}: {e}", path.display())))?;
+    let bad = |line: usize, what: &str| {
+        CliError::Input(format!("{}, line {line}: {what}", path.display()))
+    };
+    let file = File::open(path)
+        .map_err(|e| CliError::Input(format!("cannot read {}: {e}", path.display())))?;
     let mut reader = BufReader::new(file);
     let mut hasher = blake3::Hasher::new();
     let mut entries = Vec::new();
@@ -344,12 +405,18 @@ fn read(path: &Path) -> Result<Vec<Entry>, CliError> {
         let read = std::io::Read::take(&mut reader, MOST_LINE).read_line(&mut line);
         let length = read.map_err(|e| bad(number, &e.to_string()))?;
         if length == 0 {
-            return Err(bad(number, "the file ends before its last line; it was cut short"));
+            return Err(bad(
+                number,
+                "the file ends before its last line; it was cut short",
+            ));
         }
         let value: Value = serde_json::from_str(&line).map_err(|e| bad(number, &e.to_string()))?;
         if number == 1 {
             if value["format"] != FORMAT || value["version"] != VERSION {
-                return Err(bad(1, "this is no export of a store that this version of the program reads"));
+                return Err(bad(
+                    1,
+                    "this is no export of a store that this version of the program reads",
+                ));
             }
         } else if let Value::Array(_) = value {
             let text: (String, String) =
@@ -357,9 +424,13 @@ fn read(path: &Path) -> Result<Vec<Entry>, CliError> {
             let damaged = |_| bad(number, "the record is damaged; export the store again");
             entries.push(Entry::of_text(&text).map_err(damaged)?);
         } else {
-            let whole =
-                value["records"] == entries.len() && value["blake3"] == hasher.finalize().to_hex().as_str();
-            return if whole { Ok(entries) } else { Err(bad(number, "the file was altered or cut short")) };
+            let whole = value["records"] == entries.len()
+                && value["blake3"] == hasher.finalize().to_hex().as_str();
+            return if whole {
+                Ok(entries)
+            } else {
+                Err(bad(number, "the file was altered or cut short"))
+            };
         }
         hasher.update(line.as_bytes());
     }
@@ -375,6 +446,9 @@ fn import(args: &ImportArgs, json: bool) -> Result<(), CliError> {
     if json {
         return print(&json!({"records": count}).to_string());
     }
-    say(&format!("the blobs belong into {}", args.place.data_dir.join("blobs").display()));
+    say(&format!(
+        "the blobs belong into {}",
+        args.place.data_dir.join("blobs").display()
+    ));
     print(&format!("{count} records"))
 }

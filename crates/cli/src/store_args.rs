@@ -35,7 +35,12 @@ pub struct MigrateArgs {
     #[arg(value_name = "TO")]
     pub to: String,
     /// The authority of the database's certificate, as PEM. Default: those of the system.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_STORE_CA",
+        hide_env_values = true
+    )]
     pub store_ca: Option<PathBuf>,
 }
 
@@ -52,10 +57,20 @@ pub struct VerifyArgs {
     pub place: PlaceArgs,
     /// Where the records are: sled:DIR, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD. No
     /// coordinator may use them. Default: `state` in --data-dir.
-    #[arg(long, value_name = "URL", env = "SIGHTLINE_STORE", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "SIGHTLINE_STORE",
+        hide_env_values = true
+    )]
     pub store: Option<String>,
     /// The authority of the database's certificate, as PEM. Default: those of the system.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_STORE_CA", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_STORE_CA",
+        hide_env_values = true
+    )]
     pub store_ca: Option<PathBuf>,
     /// Where the blobs are, as for the coordinator. Default: `blobs` in --data-dir.
     #[arg(long, value_name = "URL")]

@@ -34,7 +34,10 @@ impl StorePlace {
             None => Self::Default,
             Some(text) => Self::parse(text, args.store_ca.as_deref())?,
         };
-        let given = [("--advertise", args.advertise.is_some()), ("--peer-ca", args.peer_ca.is_some())];
+        let given = [
+            ("--advertise", args.advertise.is_some()),
+            ("--peer-ca", args.peer_ca.is_some()),
+        ];
         if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given)
             && !matches!(place, Self::Database(_))
         {
@@ -56,8 +59,10 @@ impl StorePlace {
             Some(("sled", directory)) if !directory.is_empty() => Ok(Self::Sled(directory.into())),
             Some(("postgres" | "postgresql", _)) => {
                 if std::env::args().any(|argument| argument.contains(text)) && has_password(text) {
-                    say("everybody on this machine can read the password in the arguments; put the address \
-                         into SIGHTLINE_STORE, or the password into PGPASSWORD");
+                    say(
+                        "everybody on this machine can read the password in the arguments; put the address \
+                         into SIGHTLINE_STORE, or the password into PGPASSWORD",
+                    );
                 }
                 let password = std::env::var(PASSWORD).ok().filter(|text| !text.is_empty());
                 let address = DatabaseAddress::parse(text, password.as_deref(), ca);
@@ -76,7 +81,10 @@ impl StorePlace {
 fn has_password(text: &str) -> bool {
     let rest = text.split_once("://").map_or(text, |(_, rest)| rest);
     let authority = rest.split(['/', '?']).next().unwrap_or_default();
-    authority.rsplit_once('@').is_some_and(|(user, _)| user.contains(':')) || rest.contains("password=")
+    authority
+        .rsplit_once('@')
+        .is_some_and(|(user, _)| user.contains(':'))
+        || rest.contains("password=")
 }
 
 #[cfg(test)]
@@ -85,7 +93,12 @@ mod tests {
 
     fn of(text: &str) -> Result<StorePlace, String> {
         let store = Some(text.to_owned());
-        let args = StoreArgs { store, store_ca: None, advertise: None, peer_ca: None };
+        let args = StoreArgs {
+            store,
+            store_ca: None,
+            advertise: None,
+            peer_ca: None,
+        };
         StorePlace::of(&args).map_err(|e| e.to_string())
     }
 
@@ -94,10 +107,22 @@ mod tests {
         assert!(matches!(of(""), Ok(StorePlace::Default)));
         assert!(matches!(of("memory:"), Ok(StorePlace::Memory)));
         assert!(matches!(of("sled:/a/b"), Ok(StorePlace::Sled(path)) if path == Path::new("/a/b")));
-        assert!(matches!(of("postgres://u:secret@127.0.0.1/d"), Ok(StorePlace::Database(_))));
-        for wrong in ["sled:", "memory:x", "secret", "mysql://u:secret@h/d", "postgres://u:secret@h:x/d"] {
+        assert!(matches!(
+            of("postgres://u:secret@127.0.0.1/d"),
+            Ok(StorePlace::Database(_))
+        ));
+        for wrong in [
+            "sled:",
+            "memory:x",
+            "secret",
+            "mysql://u:secret@h/d",
+            "postgres://u:secret@h:x/d",
+        ] {
             let error = of(wrong).unwrap_err();
-            assert!(!error.contains("secret") && error.contains("--store"), "{error}");
+            assert!(
+                !error.contains("secret") && error.contains("--store"),
+                "{error}"
+            );
         }
     }
 
@@ -114,7 +139,10 @@ mod tests {
         };
         assert!(with("postgres://u@127.0.0.1/d").is_ok());
         for store in ["", "memory:", "sled:/a"] {
-            assert!(with(store).unwrap_err().to_string().contains("--advertise"), "{store}");
+            assert!(
+                with(store).unwrap_err().to_string().contains("--advertise"),
+                "{store}"
+            );
         }
     }
 

@@ -29,7 +29,9 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
     let priority = request.priority;
     let traces = args.traces.start("sightline-submit", &default_name()?)?;
     let _sends_the_rest = traces.closing();
-    let answer = with(&args.remote, |client| submitted(client, &scene, request, &traces))?;
+    let answer = with(&args.remote, |client| {
+        submitted(client, &scene, request, &traces)
+    })?;
     let job = answer.job.unwrap_or_default();
     if answer.existing {
         say(&format!("job {} does this already", job.id));
@@ -40,17 +42,36 @@ pub fn submit(args: &SubmitArgs, json: bool) -> Result<(), CliError> {
             ));
         }
     }
-    if json { print(&value(&job).to_string()) } else { print(&job.id.to_string()) }
+    if json {
+        print(&value(&job).to_string())
+    } else {
+        print(&job.id.to_string())
+    }
 }
 
 /// The scene, and the request for a job about it.
-pub fn prepare(args: &SubmitArgs, source: &Source) -> Result<(Arc<Scene>, v1::SubmitRequest), CliError> {
+pub fn prepare(
+    args: &SubmitArgs,
+    source: &Source,
+) -> Result<(Arc<Scene>, v1::SubmitRequest), CliError> {
     let scene = Arc::new(opening::read(source, &args.kinds)?);
-    opening::scene_in_words(&scene).iter().for_each(|line| say(line));
+    opening::scene_in_words(&scene)
+        .iter()
+        .for_each(|line| say(line));
     let spec = args.job.spec(source.path(), &scene)?;
-    let file_name = || source.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let file_name = || {
+        source
+            .path()
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned()
+    };
     let request = v1::SubmitRequest {
-        request_id: args.request_id.clone().unwrap_or_else(client::fresh_request_id),
+        request_id: args
+            .request_id
+            .clone()
+            .unwrap_or_else(client::fresh_request_id),
         name: short(&args.name.clone().unwrap_or_else(file_name)),
         spec: Some(spec.to_proto()),
         priority: args.priority,
@@ -69,7 +90,11 @@ pub async fn submitted(
     let begun = Begun::now();
     client::upload(&mut client, scene).await?;
     let uploaded = Begun::now();
-    let answer = client.submit(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+    let answer = client
+        .submit(request)
+        .await
+        .map_err(|s| CliError::status(&s))?
+        .into_inner();
     traces::submitted(traces, &answer, begun, uploaded);
     Ok(answer)
 }
@@ -82,7 +107,9 @@ fn short(name: &str) -> String {
 /// The name of the user who runs this program; empty if the system does not tell.
 fn login_name() -> String {
     let of = |name| std::env::var(name).ok().filter(|user| !user.is_empty());
-    let told = of("USER").or_else(|| of("LOGNAME")).or_else(|| of("USERNAME"));
+    let told = of("USER")
+        .or_else(|| of("LOGNAME"))
+        .or_else(|| of("USERNAME"));
     told.or_else(user_of_process).unwrap_or_default()
 }
 
@@ -117,16 +144,31 @@ fn estimate(
     // A stored scene is not kept in chunks any more, so it is asked for as a whole as well.
     let whole = blake3::hash(&blob).as_bytes().to_vec();
     let digest = |part: &[u8]| blake3::hash(part).as_bytes().to_vec();
-    let digests = blob.chunks(CHUNK_BYTES).map(digest).chain([whole.clone()]).collect();
+    let digests = blob
+        .chunks(CHUNK_BYTES)
+        .map(digest)
+        .chain([whole.clone()])
+        .collect();
     let (estimate, missing) = with(&args.remote, |mut client| async move {
-        let missing = client.missing_chunks(v1::MissingChunksRequest { digests }).await;
-        let missing = missing.map_err(|s| CliError::status(&s))?.into_inner().digests;
-        let estimate = client.estimate(request).await.map_err(|s| CliError::status(&s))?.into_inner();
+        let missing = client
+            .missing_chunks(v1::MissingChunksRequest { digests })
+            .await;
+        let missing = missing
+            .map_err(|s| CliError::status(&s))?
+            .into_inner()
+            .digests;
+        let estimate = client
+            .estimate(request)
+            .await
+            .map_err(|s| CliError::status(&s))?
+            .into_inner();
         Ok((estimate, missing))
     })?;
     let upload: u64 = match missing.contains(&whole) {
         true => {
-            let needed = blob.chunks(CHUNK_BYTES).filter(|part| missing.contains(&digest(part)));
+            let needed = blob
+                .chunks(CHUNK_BYTES)
+                .filter(|part| missing.contains(&digest(part)));
             needed.map(|part| part.len() as u64).sum()
         }
         false => 0,
@@ -134,7 +176,9 @@ fn estimate(
     if json {
         return print(&in_json(&estimate, upload).to_string());
     }
-    in_words(&estimate, upload).iter().try_for_each(|line| print(line))
+    in_words(&estimate, upload)
+        .iter()
+        .try_for_each(|line| print(line))
 }
 
 fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
@@ -146,9 +190,16 @@ fn in_words(e: &v1::EstimateResponse, upload: u64) -> Vec<String> {
         0 => "the coordinator has the scene".to_owned(),
         n => format!("{n} bytes of the scene, as it is sent, are to be uploaded"),
     };
-    let mut lines = vec![format!("{} in {}; {upload}", cells, plural(e.tiles as usize, "tile"))];
+    let mut lines = vec![format!(
+        "{} in {}; {upload}",
+        cells,
+        plural(e.tiles as usize, "tile")
+    )];
     if let Some(job) = &e.existing {
-        lines.push(format!("job {} does this already; nothing would be computed again", job.id));
+        lines.push(format!(
+            "job {} does this already; nothing would be computed again",
+            job.id
+        ));
     }
     lines.push(match &e.cost {
         Some(c) => format!(
@@ -218,11 +269,27 @@ mod tests {
             cost: Some(cost),
         };
         let text = in_words(&e, 7).join("\n");
-        assert!(text.starts_with("1024 cells in 2 tiles") && text.contains("1 job on this scene"), "{text}");
-        assert!(text.contains("(1 to 3)") && text.ends_with("3 workers connected, 1 open job before it"));
-        (e.cost, e.cells, e.existing) = (None, 0, Some(v1::Job { id: 9, ..v1::Job::default() }));
+        assert!(
+            text.starts_with("1024 cells in 2 tiles") && text.contains("1 job on this scene"),
+            "{text}"
+        );
+        assert!(
+            text.contains("(1 to 3)")
+                && text.ends_with("3 workers connected, 1 open job before it")
+        );
+        (e.cost, e.cells, e.existing) = (
+            None,
+            0,
+            Some(v1::Job {
+                id: 9,
+                ..v1::Job::default()
+            }),
+        );
         let text = in_words(&e, 0).join("\n");
-        assert!(text.contains("not known") && text.contains("job 9 does this already"), "{text}");
+        assert!(
+            text.contains("not known") && text.contains("job 9 does this already"),
+            "{text}"
+        );
         assert_eq!(in_json(&e, 5)["cost"], serde_json::Value::Null);
         assert_eq!(in_json(&e, 5)["upload_bytes"], 5);
     }

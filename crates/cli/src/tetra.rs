@@ -31,7 +31,9 @@ pub fn run(args: &TetraArgs, json: bool) -> Result<(), CliError> {
     match (&args.tets, &args.output) {
         (Some(tets), None) if args.check => checked(args, tets, json),
         (None, Some(output)) => built(args, output, json),
-        _ => Err(CliError::Usage("give -o OUT.tets and one scene, or --check SCENE OUT.tets".to_owned())),
+        _ => Err(CliError::Usage(
+            "give -o OUT.tets and one scene, or --check SCENE OUT.tets".to_owned(),
+        )),
     }
 }
 
@@ -39,7 +41,8 @@ pub fn run(args: &TetraArgs, json: bool) -> Result<(), CliError> {
 fn scene(args: &TetraArgs) -> Result<Scene, CliError> {
     if args.kinds.cull_back_faces {
         return Err(CliError::Usage(
-            "cells are about triangles that are met from both sides; leave out --cull-back-faces".to_owned(),
+            "cells are about triangles that are met from both sides; leave out --cull-back-faces"
+                .to_owned(),
         ));
     }
     let scene = opening::scene(&args.scene, &args.kinds)?;
@@ -74,7 +77,9 @@ impl Follower {
     /// Whether there is memory for something that takes so many bytes, with what has been taken since the
     /// start.
     fn may_take(&self, what: &str, bytes: u64) -> Result<(), String> {
-        let taken = memory::resident().unwrap_or_default().saturating_sub(self.taken_before);
+        let taken = memory::resident()
+            .unwrap_or_default()
+            .saturating_sub(self.taken_before);
         match memory::available() {
             Some(free) if bytes.saturating_sub(taken) > free => Err(format!(
                 "{what} will take {} of memory or more, and {} are free; end other programs, divide the \
@@ -90,7 +95,10 @@ impl Follower {
 fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     let start = Instant::now();
     let file = Output::check(output, Format::Tets, Some(&args.scene))?;
-    let mesh = args.export.as_ref().map(|path| Output::check(path, Format::Vtu, Some(&args.scene)));
+    let mesh = args
+        .export
+        .as_ref()
+        .map(|path| Output::check(path, Format::Vtu, Some(&args.scene)));
     let mesh = mesh.transpose()?;
     if mesh.as_ref().is_some_and(|mesh| mesh.is(&file)) {
         return Err(CliError::Usage(format!(
@@ -99,8 +107,10 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
         )));
     }
     let scene = scene(args)?;
-    let follower =
-        Follower { progress: Progress::new(), taken_before: memory::resident().unwrap_or_default() };
+    let follower = Follower {
+        progress: Progress::new(),
+        taken_before: memory::resident().unwrap_or_default(),
+    };
     let built = build(&scene, &follower);
     follower.progress.end();
     let built = built.map_err(|e| match e {
@@ -118,15 +128,25 @@ fn built(args: &TetraArgs, output: &Path, json: bool) -> Result<(), CliError> {
     })?;
     let exported = mesh.map(|mesh| {
         let bytes = built.contents().cells.face_count() as u64 * EXPORT;
-        follower.may_take("the tetrahedra of --export", bytes).map_err(|why| {
-            CliError::Input(format!("{} is written, without --export: {why}", output.display()))
-        })?;
+        follower
+            .may_take("the tetrahedra of --export", bytes)
+            .map_err(|why| {
+                CliError::Input(format!(
+                    "{} is written, without --export: {why}",
+                    output.display()
+                ))
+            })?;
         export(&built.contents(), &mesh)
     });
     let exported = exported.transpose()?;
-    let bytes = std::fs::metadata(output).map_err(|e| CliError::writing(output, &e))?.len();
+    let bytes = std::fs::metadata(output)
+        .map_err(|e| CliError::writing(output, &e))?
+        .len();
     let contents = built.contents();
-    let (triangles, vertices) = (contents.surfaces.triangles.len(), contents.surfaces.points.len());
+    let (triangles, vertices) = (
+        contents.surfaces.triangles.len(),
+        contents.surfaces.points.len(),
+    );
     let (added, cells) = (contents.cells.meets.len(), contents.cells.cell_count());
     let seconds = start.elapsed();
     let peak = peak_memory();
@@ -184,16 +204,28 @@ fn checked(args: &TetraArgs, path: &Path, json: bool) -> Result<(), CliError> {
         return refused(of_file(e.to_string()));
     }
     if Surfaces::new(&scene)?.view() != contents.surfaces {
-        return refused(of_file("its triangles are not those of the scene; build it again".to_owned()));
+        return refused(of_file(
+            "its triangles are not those of the scene; build it again".to_owned(),
+        ));
     }
     if let Err(fault) = check(&contents) {
         return refused(of_file(format!("{fault}; build it again")));
     }
-    let (cells, triangles) = (contents.cells.cell_count(), contents.surfaces.triangles.len());
-    let with_area = contents.surfaces.flags.iter().filter(|f| **f & FLAT == 0).count();
+    let (cells, triangles) = (
+        contents.cells.cell_count(),
+        contents.surfaces.triangles.len(),
+    );
+    let with_area = contents
+        .surfaces
+        .flags
+        .iter()
+        .filter(|f| **f & FLAT == 0)
+        .count();
     say(&format!("checked in {}", human(start.elapsed())));
     match json {
-        true => print(&json!({"accepted": true, "cells": cells, "triangles": triangles}).to_string()),
+        true => {
+            print(&json!({"accepted": true, "cells": cells, "triangles": triangles}).to_string())
+        }
         false => print(&format!(
             "accepted: {} fill the box without overlap, neighbours agree, and each of {} with an area is \
              covered once",

@@ -27,7 +27,12 @@ pub struct TetraArgs {
     #[arg(value_name = "OUT.tets", requires = "check")]
     pub tets: Option<PathBuf>,
     /// The file to write.
-    #[arg(short, long, value_name = "OUT.tets", required_unless_present = "check")]
+    #[arg(
+        short,
+        long,
+        value_name = "OUT.tets",
+        required_unless_present = "check"
+    )]
     pub output: Option<PathBuf>,
     /// Also write the cells as tetrahedra, a file that ParaView and other programs with VTK read. Each has
     /// the number of its cell and the number of solids that hold it, and each triangle of the scene is there
@@ -135,6 +140,9 @@ impl LookArgs {
             (self.witnesses, "--witnesses"),
             (self.threads.is_some(), "--threads"),
         ];
-        given.into_iter().find(|(given, _)| *given).map(|(_, name)| name)
+        given
+            .into_iter()
+            .find(|(given, _)| *given)
+            .map(|(_, name)| name)
     }
 }

@@ -24,38 +24,83 @@ const TETRAHEDRON: u8 = 10;
 /// [`CliError`], when the file cannot be written.
 pub fn export(contents: &Contents<'_>, output: &Output) -> Result<u64, CliError> {
     let divided = divide(contents);
-    output.write(|out| write(contents, &divided, out).map_err(|e| CliError::writing(output.path(), &e)))?;
+    output.write(|out| {
+        write(contents, &divided, out).map_err(|e| CliError::writing(output.path(), &e))
+    })?;
     Ok(divided.tetrahedra.len() as u64)
 }
 
 fn write(contents: &Contents<'_>, divided: &Divided, out: &mut dyn Write) -> std::io::Result<()> {
-    let Divided { places, tetrahedra, cells, faces, triangles } = divided;
+    let Divided {
+        places,
+        tetrahedra,
+        cells,
+        faces,
+        triangles,
+    } = divided;
     let (solid, flat) = (tetrahedra.len(), faces.len());
     writeln!(
         out,
         r#"<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">"#
     )?;
     writeln!(out, "<UnstructuredGrid>")?;
-    writeln!(out, r#"<Piece NumberOfPoints="{}" NumberOfCells="{}">"#, places.len(), solid + flat)?;
+    writeln!(
+        out,
+        r#"<Piece NumberOfPoints="{}" NumberOfCells="{}">"#,
+        places.len(),
+        solid + flat
+    )?;
     writeln!(out, "<Points>")?;
     let coordinates = places.as_flattened().iter().flat_map(|x| x.to_le_bytes());
-    array(out, r#"type="Float64" Name="Points" NumberOfComponents="3""#, coordinates)?;
+    array(
+        out,
+        r#"type="Float64" Name="Points" NumberOfComponents="3""#,
+        coordinates,
+    )?;
     writeln!(out, "</Points>\n<Cells>")?;
     let corners = tetrahedra.as_flattened().iter().chain(faces.as_flattened());
-    array(out, r#"type="Int64" Name="connectivity""#, corners.flat_map(|v| i64::from(*v).to_le_bytes()))?;
-    let ends = (1..=solid).map(|k| 4 * k).chain((1..=flat).map(|k| 4 * solid + 3 * k));
-    array(out, r#"type="Int64" Name="offsets""#, ends.flat_map(|end| (end as i64).to_le_bytes()))?;
+    array(
+        out,
+        r#"type="Int64" Name="connectivity""#,
+        corners.flat_map(|v| i64::from(*v).to_le_bytes()),
+    )?;
+    let ends = (1..=solid)
+        .map(|k| 4 * k)
+        .chain((1..=flat).map(|k| 4 * solid + 3 * k));
+    array(
+        out,
+        r#"type="Int64" Name="offsets""#,
+        ends.flat_map(|end| (end as i64).to_le_bytes()),
+    )?;
     let kinds = std::iter::repeat_n(TETRAHEDRON, solid).chain(std::iter::repeat_n(TRIANGLE, flat));
     array(out, r#"type="UInt8" Name="types""#, kinds)?;
     writeln!(out, "</Cells>\n<CellData>")?;
     let none = |count: usize| std::iter::repeat_n(-1i64, count);
     let of = cells.iter().map(|c| i64::from(*c)).chain(none(flat));
-    array(out, r#"type="Int64" Name="cell""#, of.flat_map(i64::to_le_bytes))?;
-    let solids = cells.iter().map(|c| i64::from(contents.windings[*c as usize])).chain(none(flat));
-    array(out, r#"type="Int64" Name="solids""#, solids.flat_map(i64::to_le_bytes))?;
+    array(
+        out,
+        r#"type="Int64" Name="cell""#,
+        of.flat_map(i64::to_le_bytes),
+    )?;
+    let solids = cells
+        .iter()
+        .map(|c| i64::from(contents.windings[*c as usize]))
+        .chain(none(flat));
+    array(
+        out,
+        r#"type="Int64" Name="solids""#,
+        solids.flat_map(i64::to_le_bytes),
+    )?;
     let of = none(solid).chain(triangles.iter().map(|t| i64::from(*t)));
-    array(out, r#"type="Int64" Name="triangle""#, of.flat_map(i64::to_le_bytes))?;
-    writeln!(out, "</CellData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>")
+    array(
+        out,
+        r#"type="Int64" Name="triangle""#,
+        of.flat_map(i64::to_le_bytes),
+    )?;
+    writeln!(
+        out,
+        "</CellData>\n</Piece>\n</UnstructuredGrid>\n</VTKFile>"
+    )
 }
 
 /// Writes one array: its length in bytes and its bytes as one text in base64.

@@ -37,7 +37,11 @@ impl Timeline {
                 self.open.insert(of, at);
             }
             (EventKind::Done | EventKind::TakenBack | EventKind::Failed, Some(of)) => {
-                let how = event.kind().as_str_name().trim_start_matches("EVENT_KIND_").to_ascii_lowercase();
+                let how = event
+                    .kind()
+                    .as_str_name()
+                    .trim_start_matches("EVENT_KIND_")
+                    .to_ascii_lowercase();
                 match self.open.remove(&of) {
                     Some(since) => self.complete(&of, since, at, &how, &event.text),
                     // The lease is older than what the coordinator remembers.
@@ -66,7 +70,11 @@ impl Timeline {
 
     fn instant(&mut self, worker: &str, at: u64, event: &v1::Event) {
         let row = self.row(worker);
-        let kind = event.kind().as_str_name().trim_start_matches("EVENT_KIND_").to_ascii_lowercase();
+        let kind = event
+            .kind()
+            .as_str_name()
+            .trim_start_matches("EVENT_KIND_")
+            .to_ascii_lowercase();
         self.out.push(json!({
             "name": event.text, "cat": kind, "ph": "i", "s": "t", "ts": at * 1000, "pid": 1, "tid": row,
             "args": {"tile": event.tile},
@@ -94,7 +102,13 @@ mod tests {
     use super::*;
 
     fn event(at_ms: u64, kind: EventKind, tile: Option<u32>, worker: &str) -> v1::Event {
-        v1::Event { at_ms, kind: kind.into(), tile, worker: worker.to_owned(), ..Default::default() }
+        v1::Event {
+            at_ms,
+            kind: kind.into(),
+            tile,
+            worker: worker.to_owned(),
+            ..Default::default()
+        }
     }
 
     #[test]
@@ -110,8 +124,14 @@ mod tests {
         let of = |ph: &str| events.iter().filter(|e| e["ph"] == ph).collect::<Vec<_>>();
         let spans = of("X");
         assert_eq!(spans.len(), 2);
-        assert_eq!((&spans[0]["ts"], &spans[0]["dur"]), (&json!(10_000), &json!(490_000)));
-        assert_eq!((&spans[1]["dur"], &spans[1]["cat"]), (&json!(580_000), &json!("running")));
+        assert_eq!(
+            (&spans[0]["ts"], &spans[0]["dur"]),
+            (&json!(10_000), &json!(490_000))
+        );
+        assert_eq!(
+            (&spans[1]["dur"], &spans[1]["cat"]),
+            (&json!(580_000), &json!("running"))
+        );
         assert_eq!((of("i").len(), of("M").len()), (2, 4));
     }
 }

@@ -8,7 +8,12 @@ use sightline_coordinator::access::Scope;
 #[derive(Args, Debug)]
 pub struct TokenArgs {
     /// The file of tokens, which `sightline coordinator --tokens` reads.
-    #[arg(long = "tokens", value_name = "FILE", global = true, default_value = "sightline-tokens.json")]
+    #[arg(
+        long = "tokens",
+        value_name = "FILE",
+        global = true,
+        default_value = "sightline-tokens.json"
+    )]
     pub file: PathBuf,
     #[command(subcommand)]
     pub command: TokenCommand,
@@ -24,7 +29,12 @@ pub enum TokenCommand {
         /// What it allows, one or more with commas: read (see one's own jobs and fetch results), submit
         /// (that, and send scenes and jobs), worker (take tiles), admin (everything, on the jobs of all
         /// users).
-        #[arg(long = "scope", value_name = "SCOPES", required = true, value_delimiter = ',')]
+        #[arg(
+            long = "scope",
+            value_name = "SCOPES",
+            required = true,
+            value_delimiter = ','
+        )]
         scopes: Vec<Scope>,
     },
     /// List the tokens: id, scopes, user.

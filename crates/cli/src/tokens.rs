@@ -16,12 +16,18 @@ pub fn token(args: &TokenArgs, json: bool) -> Result<(), CliError> {
     match &args.command {
         TokenCommand::New { user, scopes } => {
             let _turn = TokenLock::take(path).map_err(|e| input(&e))?;
-            let mut file = if path.exists() { read(path)? } else { TokenFile::default() };
+            let mut file = if path.exists() {
+                read(path)?
+            } else {
+                TokenFile::default()
+            };
             let mut random = [0; 36];
             getrandom::fill(&mut random).map_err(CliError::internal)?;
             let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
             let now = now.map_or(0, |since| since.as_millis() as u64);
-            let text = file.add(user, scopes, now, random).map_err(|e| CliError::Usage(e.to_string()))?;
+            let text = file
+                .add(user, scopes, now, random)
+                .map_err(|e| CliError::Usage(e.to_string()))?;
             file.write(path).map_err(|e| input(&e))?;
             say(&format!(
                 "a token of {user} for {}; it is shown this once: keep it in a file that nobody else reads",
@@ -36,10 +42,14 @@ pub fn token(args: &TokenArgs, json: bool) -> Result<(), CliError> {
                     let (id, user, scopes) = (&t.id, &t.user, &t.scopes);
                     serde_json::json!({"id": id, "user": user, "scopes": scopes, "made_at_ms": t.made_at_ms})
                 };
-                return print(&serde_json::Value::from_iter(file.tokens.iter().map(of)).to_string());
+                return print(
+                    &serde_json::Value::from_iter(file.tokens.iter().map(of)).to_string(),
+                );
             }
-            let lines =
-                file.tokens.iter().map(|t| format!("{}  {}  {}", t.id, listed(&t.scopes.named()), t.user));
+            let lines = file
+                .tokens
+                .iter()
+                .map(|t| format!("{}  {}  {}", t.id, listed(&t.scopes.named()), t.user));
             lines.into_iter().try_for_each(|line| print(&line))
         }
         TokenCommand::Revoke { id } => {
@@ -52,7 +62,9 @@ pub fn token(args: &TokenArgs, json: bool) -> Result<(), CliError> {
                 )));
             }
             file.write(path).map_err(|e| input(&e))?;
-            say("revoked; coordinators refuse it within two seconds, calls that are under way go on");
+            say(
+                "revoked; coordinators refuse it within two seconds, calls that are under way go on",
+            );
             Ok(())
         }
     }
@@ -63,5 +75,9 @@ fn read(path: &Path) -> Result<TokenFile, CliError> {
 }
 
 fn listed(scopes: &[Scope]) -> String {
-    scopes.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
+    scopes
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(",")
 }

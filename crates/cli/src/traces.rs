@@ -13,10 +13,20 @@ pub struct TraceArgs {
     /// Send traces of jobs to this collector of OpenTelemetry, by OTLP over gRPC, such as
     /// http://127.0.0.1:4317. One that is away delays nothing: spans are lost, and the log says so. Off by
     /// default.
-    #[arg(long, value_name = "URL", env = "SIGHTLINE_TRACES", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "SIGHTLINE_TRACES",
+        hide_env_values = true
+    )]
     pub traces: Option<String>,
     /// The authority of the collector's certificate, as PEM. Default: those of the system.
-    #[arg(long, value_name = "FILE", env = "SIGHTLINE_TRACES_CA", hide_env_values = true)]
+    #[arg(
+        long,
+        value_name = "FILE",
+        env = "SIGHTLINE_TRACES_CA",
+        hide_env_values = true
+    )]
     pub traces_ca: Option<PathBuf>,
 }
 
@@ -33,8 +43,18 @@ impl TraceArgs {
             std::fs::read(path)
                 .map_err(|e| CliError::Input(format!("{}: cannot be read: {e}", path.display())))
         };
-        let ca = self.traces_ca.as_ref().filter(|path| !path.as_os_str().is_empty()).map(read).transpose()?;
-        let settings = Settings { url: url.clone(), ca, service, instance: name.to_owned() };
+        let ca = self
+            .traces_ca
+            .as_ref()
+            .filter(|path| !path.as_os_str().is_empty())
+            .map(read)
+            .transpose()?;
+        let settings = Settings {
+            url: url.clone(),
+            ca,
+            service,
+            instance: name.to_owned(),
+        };
         Traces::start(settings).map_err(|e| match e {
             TracesError::Address { .. } => CliError::Usage(format!("--traces: {e}")),
             TracesError::System(_) => CliError::internal(e),
@@ -47,7 +67,8 @@ impl TraceArgs {
 pub fn submitted(traces: &Traces, answer: &v1::SubmitResponse, begun: Begun, uploaded: Begun) {
     let job = answer.job.as_ref().filter(|_| !answer.existing);
     // The coordinator that sends no traces names none.
-    let Some((job, trace)) = job.and_then(|job| Some((job.id, TraceId::of_bytes(&job.trace)?))) else {
+    let Some((job, trace)) = job.and_then(|job| Some((job.id, TraceId::of_bytes(&job.trace)?)))
+    else {
         return;
     };
     let submit = traces.fresh_id();

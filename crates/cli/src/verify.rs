@@ -77,23 +77,38 @@ pub fn verified(
     }
     let triangles: Vec<[Vec3; 3]> = scene.triangles().iter().map(|t| t.v).collect();
     // The digest of the scene, which the result names, covers the kinds.
-    let (blocks, shows): (Vec<bool>, Vec<bool>) =
-        scene.kinds().by_triangle().iter().map(|k| (k.blocks(), k.shows())).unzip();
+    let (blocks, shows): (Vec<bool>, Vec<bool>) = scene
+        .kinds()
+        .by_triangle()
+        .iter()
+        .map(|k| (k.blocks(), k.shows()))
+        .unzip();
     let report = verify(
         &triangles,
         pvs,
         &VerifyOptions {
-            kinds: Kinds { blocks: &blocks, shows: &shows },
-            sample: args.sample.map(|pairs| Sample { pairs, seed: args.seed }),
+            kinds: Kinds {
+                blocks: &blocks,
+                shows: &shows,
+            },
+            sample: args.sample.map(|pairs| Sample {
+                pairs,
+                seed: args.seed,
+            }),
             progress: Some(hooks.progress),
             cancelled: Some(hooks.cancelled),
         },
     );
     match report {
-        Ok(report) => Ok(Verdict::Accepted(report_json(&report, pvs, args), report_text(&report, args))),
-        Err(VerifyError::Refused(refused)) => {
-            Ok(Verdict::refused(refused.cell, &refused.reason, &args.result))
-        }
+        Ok(report) => Ok(Verdict::Accepted(
+            report_json(&report, pvs, args),
+            report_text(&report, args),
+        )),
+        Err(VerifyError::Refused(refused)) => Ok(Verdict::refused(
+            refused.cell,
+            &refused.reason,
+            &args.result,
+        )),
         Err(VerifyError::Cancelled { verified, cells }) => Err(CliError::Interrupted(format!(
             "interrupted; {verified} of {cells} cells verified so far, all accepted"
         ))),
@@ -124,8 +139,12 @@ fn cancel_on_interrupt() -> Result<(), CliError> {
             }
         });
     };
-    let thread = std::thread::Builder::new().name("interrupt".to_owned()).spawn(wait);
-    thread.map(drop).map_err(|e| CliError::Internal(format!("cannot watch for Ctrl-C: {e}")))
+    let thread = std::thread::Builder::new()
+        .name("interrupt".to_owned())
+        .spawn(wait);
+    thread
+        .map(drop)
+        .map_err(|e| CliError::Internal(format!("cannot watch for Ctrl-C: {e}")))
 }
 
 fn no_certificates(pvs: &Pvs, result: &Path) -> CliError {
@@ -133,7 +152,11 @@ fn no_certificates(pvs: &Pvs, result: &Path) -> CliError {
         "{} has no certificates (method {}), so there is nothing to verify; bake it with {}--certificates",
         result.display(),
         pvs.method(),
-        if pvs.method() == "aggressive" { "--method exact " } else { "" }
+        if pvs.method() == "aggressive" {
+            "--method exact "
+        } else {
+            ""
+        }
     ))
 }
 
@@ -174,7 +197,8 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
          hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a polygon; \
          {} certificates ({} checked), {} bytes with the witnesses\n\
          neither: {} undecided, {} without area{}{}",
-        args.sample.map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
+        args.sample
+            .map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
         report.pairs,
         report.cells,
         t.witnesses.all,
@@ -191,7 +215,9 @@ fn report_text(report: &Report, args: &VerifyArgs) -> String {
         report.without_area(),
         match t.cells_unreached {
             0 => String::new(),
-            n => format!("\nno viewpoint is in {n} of the cells, and nothing is claimed about what they see"),
+            n => format!(
+                "\nno viewpoint is in {n} of the cells, and nothing is claimed about what they see"
+            ),
         },
         match t.cells_apart {
             0 => String::new(),

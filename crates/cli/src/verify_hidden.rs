@@ -54,7 +54,9 @@ pub fn check(
     };
     let answers: Vec<Result<Answer, CliError>> = pairs.par_iter().map(ask).collect();
     if (hooks.cancelled)() {
-        return Err(CliError::Interrupted("interrupted; nothing is known yet".to_owned()));
+        return Err(CliError::Interrupted(
+            "interrupted; nothing is known yet".to_owned(),
+        ));
     }
     let (mut hidden, mut undecided) = (0u64, 0u64);
     for ((cell, triangle), answer) in pairs.iter().zip(answers) {
@@ -85,7 +87,12 @@ pub fn check(
 }
 
 /// Pairs of a cell with viewpoints and a triangle that can be in a set and is not in the cell's.
-fn draw(pvs: &Pvs, scene: &ExactScene, wanted: u64, seed: u64) -> Result<Vec<(u32, u32)>, CliError> {
+fn draw(
+    pvs: &Pvs,
+    scene: &ExactScene,
+    wanted: u64,
+    seed: u64,
+) -> Result<Vec<(u32, u32)>, CliError> {
     let mut random = SplitMix64::new(seed);
     let mut below = |n: u32| (((random.bits() >> 32) * u64::from(n)) >> 32) as u32;
     let mut of_cell: Vec<Option<Vec<u32>>> = vec![None; pvs.cells() as usize];
@@ -126,7 +133,9 @@ fn open_faces<'a>(
     pairs: &[(u32, u32)],
     places: Option<&'a dyn Places>,
 ) -> BTreeMap<u32, OpenFaces<'a>> {
-    let Some(scene) = walls_of(pvs, scene) else { return BTreeMap::new() };
+    let Some(scene) = walls_of(pvs, scene) else {
+        return BTreeMap::new();
+    };
     let cells: BTreeSet<u32> = pairs.iter().map(|(cell, _)| *cell).collect();
     let faces = |cell: u32| {
         let [min, max] = pvs.cell_bounds(cell)?.map(Vec3::from);
@@ -144,18 +153,29 @@ fn ask(
 ) -> Result<Answer, CliError> {
     let bounds = pvs.cell_bounds(cell).map(|b| b.map(Vec3::from));
     let cell = bounds.and_then(|[min, max]| Cell::new(min, max));
-    let cell = cell.ok_or_else(|| CliError::Input("a cell of the result has no volume".to_owned()))?;
+    let cell =
+        cell.ok_or_else(|| CliError::Input("a cell of the result has no volume".to_owned()))?;
     let sources = Sources::new(cell, places);
     let corners = *scene.occluders().triangle(triangle);
     let of = sightline_scene::Triangle { v: corners };
     // A triangle that meets the cell where viewpoints are is seen.
-    if sightline_scene::overlap::triangle_touches_box(&of, &cell.bounds()) && sources.is_met_by(corners) {
+    if sightline_scene::overlap::triangle_touches_box(&of, &cell.bounds())
+        && sources.is_met_by(corners)
+    {
         return Ok(Answer::Seen("meets the cell".to_owned()));
     }
-    let Some(target) = Polygon::triangle(corners.map(|v| v.as_dvec3())) else { return Ok(Answer::Hidden) };
+    let Some(target) = Polygon::triangle(corners.map(|v| v.as_dvec3())) else {
+        return Ok(Answer::Hidden);
+    };
     let mut cost = Cost::default();
     let limits = Limits::default();
-    let found = from_cell(scene.occluders(), &sources, (&[target], None), (&limits, cancelled), &mut cost);
+    let found = from_cell(
+        scene.occluders(),
+        &sources,
+        (&[target], None),
+        (&limits, cancelled),
+        &mut cost,
+    );
     Ok(match found {
         Found::Hidden(_) => Answer::Hidden,
         Found::Undecided(_) => Answer::Undecided,

@@ -27,8 +27,11 @@ const MOST_PLACES: u32 = 1 << 15;
 
 /// Makes the page, and writes or serves it.
 pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
-    let output =
-        args.output.as_ref().map(|path| Output::check(path, Format::Html, Some(&args.result))).transpose()?;
+    let output = args
+        .output
+        .as_ref()
+        .map(|path| Output::check(path, Format::Html, Some(&args.result)))
+        .transpose()?;
     let pvs = opening::open(&args.result)?;
     let scene = match &args.scene {
         Some(path) => Some(opening::scene_of(path, &args.kinds, &pvs, &args.result)?),
@@ -43,9 +46,15 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
     if let Some(up) = args.up {
         view.up = if up.to_string() == "z" { 2 } else { 1 };
     }
-    view.maps.extend(cells::maps(&pvs)?.into_iter().filter(Map::says_something));
+    view.maps
+        .extend(cells::maps(&pvs)?.into_iter().filter(Map::says_something));
     view.places = places(&pvs, scene.as_ref(), &args.result)?;
-    view.worst = args.worst.as_deref().map(|file| worst(file, &pvs)).transpose()?.unwrap_or_default();
+    view.worst = args
+        .worst
+        .as_deref()
+        .map(|file| worst(file, &pvs))
+        .transpose()?
+        .unwrap_or_default();
     view.start = match args.cell {
         Some(cell) if cell < pvs.cells() => cell,
         Some(cell) => {
@@ -57,11 +66,13 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
         }
         None => view.start,
     };
-    let page = page(&view).map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?;
+    let page =
+        page(&view).map_err(|e| CliError::Input(format!("{}: {e}", args.result.display())))?;
     match output {
         Some(output) => {
             output.write(|out| {
-                out.write_all(page.as_bytes()).map_err(|e| CliError::writing(output.path(), &e))
+                out.write_all(page.as_bytes())
+                    .map_err(|e| CliError::writing(output.path(), &e))
             })?;
             let (path, bytes) = (output.path().display().to_string(), page.len());
             print(&match json {
@@ -74,7 +85,12 @@ pub fn run(args: &ViewArgs, json: bool) -> Result<(), CliError> {
 }
 
 fn title(result: &Path, scene: Option<&Path>) -> String {
-    let name = |path: &Path| path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+    let name = |path: &Path| {
+        path.file_name()
+            .unwrap_or(path.as_os_str())
+            .to_string_lossy()
+            .into_owned()
+    };
     match scene {
         Some(scene) => format!("{} – {}", name(result), name(scene)),
         None => name(result),
@@ -83,13 +99,19 @@ fn title(result: &Path, scene: Option<&Path>) -> String {
 
 /// A viewpoint for each cell, where viewpoints are in a region alone; NaN where none was found.
 fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3]>, CliError> {
-    let Some(scene) = scene.filter(|_| pvs.cells() <= MOST_PLACES) else { return Ok(Vec::new()) };
-    let Some(region) = enclosure::of_result(pvs, scene, result)? else { return Ok(Vec::new()) };
+    let Some(scene) = scene.filter(|_| pvs.cells() <= MOST_PLACES) else {
+        return Ok(Vec::new());
+    };
+    let Some(region) = enclosure::of_result(pvs, scene, result)? else {
+        return Ok(Vec::new());
+    };
     let of = |cell: u32| {
         let [min, max] = pvs.cell_bounds(cell)?;
         region.any_in(sightline_scene::Aabb::new(min.into(), max.into()))
     };
-    Ok((0..pvs.cells()).map(|cell| of(cell).map_or([f32::NAN; 3], |p| p.to_array())).collect())
+    Ok((0..pvs.cells())
+        .map(|cell| of(cell).map_or([f32::NAN; 3], |p| p.to_array()))
+        .collect())
 }
 
 /// The worst frames of what `sightline measure` has printed.
@@ -101,19 +123,30 @@ fn worst(file: &Path, pvs: &Pvs) -> Result<Vec<Worst>, CliError> {
         ))
     };
     let text = std::fs::read_to_string(file).map_err(|e| bad(format!("it cannot be read: {e}")))?;
-    let report: Value = serde_json::from_str(&text).map_err(|e| bad(format!("it is no JSON: {e}")))?;
-    let frames = report["worst"].as_array().ok_or_else(|| bad("it has no list \"worst\"".to_owned()))?;
+    let report: Value =
+        serde_json::from_str(&text).map_err(|e| bad(format!("it is no JSON: {e}")))?;
+    let frames = report["worst"]
+        .as_array()
+        .ok_or_else(|| bad("it has no list \"worst\"".to_owned()))?;
     let frame = |value: &Value| {
         let at = value["viewpoint"].as_array().filter(|at| at.len() == 3)?;
         let mut viewpoint = [0.0; 3];
         for (x, value) in viewpoint.iter_mut().zip(at) {
             *x = value.as_f64()? as f32;
         }
-        let cell = u32::try_from(value["cell"].as_u64()?).ok().filter(|cell| *cell < pvs.cells())?;
-        Some(Worst { viewpoint, cell, error: value["error"].as_f64()? })
+        let cell = u32::try_from(value["cell"].as_u64()?)
+            .ok()
+            .filter(|cell| *cell < pvs.cells())?;
+        Some(Worst {
+            viewpoint,
+            cell,
+            error: value["error"].as_f64()?,
+        })
     };
     let all: Option<Vec<Worst>> = frames.iter().map(frame).collect();
-    all.ok_or_else(|| bad("a frame of its list \"worst\" is malformed, or of another result".to_owned()))
+    all.ok_or_else(|| {
+        bad("a frame of its list \"worst\" is malformed, or of another result".to_owned())
+    })
 }
 
 /// Serves the page on this machine until it is interrupted.
@@ -135,7 +168,10 @@ fn serve_page(
         let url = format!("http://127.0.0.1:{port}/");
         print(&match json {
             true => serde_json::json!({"url": url}).to_string(),
-            false => format!("{url} shows {} until you press Ctrl-C", args.result.display()),
+            false => format!(
+                "{url} shows {} until you press Ctrl-C",
+                args.result.display()
+            ),
         })?;
         if !args.no_open && std::io::stdout().is_terminal() {
             open(&url);
@@ -169,6 +205,8 @@ fn open(url: &str) {
         .stderr(nothing())
         .spawn();
     if let Err(e) = opened {
-        say(&format!("note: no browser was opened ({program}: {e}); open the address yourself"));
+        say(&format!(
+            "note: no browser was opened ({program}: {e}); open the address yourself"
+        ));
     }
 }

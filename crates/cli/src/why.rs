@@ -73,7 +73,11 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
             let triangles: Vec<u32> = (of.first..of.first.saturating_add(of.count)).collect();
             let mut answer = of_object(question, &triangles)?;
             (answer["object"], answer["name"]) = (index.into(), of.name.as_str().into());
-            (format!("object {}", printable::name(&of.name)), triangles, answer)
+            (
+                format!("object {}", printable::name(&of.name)),
+                triangles,
+                answer,
+            )
         }
     };
     answer["cell"] = question.cell.into();
@@ -85,14 +89,26 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), CliError> {
     if json {
         return print(&answer.to_string());
     }
-    print(&in_words(&format!("{about} from cell {}", question.cell), &answer))?;
-    question.picture.map_or(Ok(()), |path| print(&format!("wrote {}", path.display())))
+    print(&in_words(
+        &format!("{about} from cell {}", question.cell),
+        &answer,
+    ))?;
+    question
+        .picture
+        .map_or(Ok(()), |path| print(&format!("wrote {}", path.display())))
 }
 
 impl Question<'_> {
     fn each(&self, triangles: &[u32], each: &mut Each<'_>) -> Result<(), CliError> {
         match &self.scene {
-            Some(scene) => ask_each(self.pvs, self.result, scene, (self.cell, triangles), &|| false, each),
+            Some(scene) => ask_each(
+                self.pvs,
+                self.result,
+                scene,
+                (self.cell, triangles),
+                &|| false,
+                each,
+            ),
             None => keep_each(self.pvs, self.result, self.cell, triangles, each),
         }
     }
@@ -101,7 +117,9 @@ impl Question<'_> {
 /// The number of the object with this name or number.
 fn object(question: &Question<'_>, name: &str) -> Result<usize, CliError> {
     let objects = question.pvs.objects();
-    let named: Vec<usize> = (0..objects.len()).filter(|i| objects[*i].name == name).collect();
+    let named: Vec<usize> = (0..objects.len())
+        .filter(|i| objects[*i].name == name)
+        .collect();
     let number = name.parse().ok().filter(|i: &usize| *i < objects.len());
     match (&named[..], number) {
         ([one], _) => Ok(*one),
@@ -141,16 +159,24 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
                 hidden += 1;
                 let of = answer["blockers"].as_array().map_or(&[][..], |b| b);
                 blockers.extend(of.iter().filter_map(Value::as_u64));
-                reasons.insert(match (answer["kind"].as_str(), answer["degenerate"] == true) {
-                    (Some(kind), _) => format!("are {}", kind_text(kind)),
-                    (None, true) => "have no area".to_owned(),
-                    (None, false) if of.is_empty() => "turn their inner side to the cell".to_owned(),
-                    (None, false) => "are behind others".to_owned(),
-                });
+                reasons.insert(
+                    match (answer["kind"].as_str(), answer["degenerate"] == true) {
+                        (Some(kind), _) => format!("are {}", kind_text(kind)),
+                        (None, true) => "have no area".to_owned(),
+                        (None, false) if of.is_empty() => {
+                            "turn their inner side to the cell".to_owned()
+                        }
+                        (None, false) => "are behind others".to_owned(),
+                    },
+                );
             }
             _ => undecided.push(triangle),
         }
-        progress.count(hidden + undecided.len() as u64, order.len() as u64, "triangles");
+        progress.count(
+            hidden + undecided.len() as u64,
+            order.len() as u64,
+            "triangles",
+        );
         Ok(true)
     });
     progress.end();
@@ -160,7 +186,11 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, CliErr
     }
     blockers.sort_unstable();
     blockers.dedup();
-    let state = if undecided.is_empty() { "hidden" } else { "undecided" };
+    let state = if undecided.is_empty() {
+        "hidden"
+    } else {
+        "undecided"
+    };
     Ok(json!({
         "state": state, "blockers": blockers, "triangles": order.len(), "undecided": undecided,
         "reasons": reasons,
@@ -199,13 +229,18 @@ fn in_words(about: &str, answer: &Value) -> String {
                 [] => String::new(),
                 _ => format!("; what they are behind are triangles {}", listed(blockers)),
             };
-            format!("{about}: hidden, because all its triangles {}{behind}", reasons.join(" or "))
+            format!(
+                "{about}: hidden, because all its triangles {}{behind}",
+                reasons.join(" or ")
+            )
         }
         Some("hidden") if answer["kind"].is_string() => {
             let kind = kind_text(answer["kind"].as_str().unwrap_or_default());
             format!("{about}: in no set, because it is {kind}")
         }
-        Some("hidden") if answer["degenerate"] == true => format!("{about}: hidden, because it has no area"),
+        Some("hidden") if answer["degenerate"] == true => {
+            format!("{about}: hidden, because it has no area")
+        }
         Some("hidden") if blockers.is_empty() => {
             format!(
                 "{about}: hidden by the closed surface it belongs to, because its inner side faces the cell"
@@ -216,15 +251,21 @@ fn in_words(about: &str, answer: &Value) -> String {
                 (Some(1), _) => " together with one other triangle".to_owned(),
                 (Some(n @ 2..), _) => format!(" together with {n} other triangles"),
                 (_, true) => {
-                    " from one side by the closed surface it belongs to, from the other side".to_owned()
+                    " from one side by the closed surface it belongs to, from the other side"
+                        .to_owned()
                 }
                 _ => String::new(),
             };
             let from = match answer["from"].as_array().map(Vec::as_slice) {
-                Some([min, max]) => format!(", like from the whole box {min} to {max} around the cell,"),
+                Some([min, max]) => {
+                    format!(", like from the whole box {min} to {max} around the cell,")
+                }
                 _ => String::new(),
             };
-            format!("{about}: hidden{from}{with} by triangles {}", listed(blockers))
+            format!(
+                "{about}: hidden{from}{with} by triangles {}",
+                listed(blockers)
+            )
         }
         _ if answer["object"].is_u64() => {
             let open = answer["undecided"].as_array().map_or(&[][..], |u| u);
@@ -232,12 +273,18 @@ fn in_words(about: &str, answer: &Value) -> String {
                 "{about}: undecided, because triangles {} are{}; undecided triangles are in the set, so no \
                  visible one is missing",
                 listed(open),
-                if answer["asked"] == true { "" } else { " (add --scene for new queries)" }
+                if answer["asked"] == true {
+                    ""
+                } else {
+                    " (add --scene for new queries)"
+                }
             )
         }
         _ => format!(
             "{about}: undecided{}; undecided triangles are in the set, so no visible one is missing",
-            answer["reason"].as_str().map_or(String::new(), |r| format!(" ({r})"))
+            answer["reason"]
+                .as_str()
+                .map_or(String::new(), |r| format!(" ({r})"))
         ),
     }
 }
@@ -267,17 +314,26 @@ fn draw(
     (path, picture_to): (&Path, &Output),
 ) -> Result<(), CliError> {
     let Some(scene) = &question.scene else {
-        return Err(CliError::Usage("--picture draws the scene; give it with --scene".to_owned()));
+        return Err(CliError::Usage(
+            "--picture draws the scene; give it with --scene".to_owned(),
+        ));
     };
     let end = |k: usize| {
         let at = |axis: usize| answer["witness"][k][axis].as_f64().map(|x| x as f32);
         Some(Vec3::new(at(0)?, at(1)?, at(2)?))
     };
     let blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
-    let blockers: Vec<u32> = blockers.iter().filter_map(|b| u32::try_from(b.as_u64()?).ok()).collect();
+    let blockers: Vec<u32> = blockers
+        .iter()
+        .filter_map(|b| u32::try_from(b.as_u64()?).ok())
+        .collect();
     let info: Value = serde_json::from_str(question.pvs.info_json()).unwrap_or_default();
     let scene = Arc::new(scene.clone());
-    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 8,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let (_, backend) = open_backend(BackendChoice::Auto, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
@@ -289,6 +345,11 @@ fn draw(
         seen_at: end(1),
         vertical: if info["up"] == "z" { Vec3::Z } else { Vec3::Y },
     };
-    let picture = portrait.draw(&scene, &sight, step).map_err(CliError::internal)?;
-    picture_to.write(|out| out.write_all(&picture).map_err(|e| CliError::writing(path, &e)))
+    let picture = portrait
+        .draw(&scene, &sight, step)
+        .map_err(CliError::internal)?;
+    picture_to.write(|out| {
+        out.write_all(&picture)
+            .map_err(|e| CliError::writing(path, &e))
+    })
 }

@@ -14,8 +14,11 @@ use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
-    let [scene, result] =
-        [1, 2].map(|i| args.get(i).cloned().ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED [SECONDS]]]"));
+    let [scene, result] = [1, 2].map(|i| {
+        args.get(i)
+            .cloned()
+            .ok_or("usage: cells SCENE OUT.pvs [COUNT [SEED [SECONDS]]]")
+    });
     let count: usize = args.get(3).map_or(Ok(5), |s| s.parse())?;
     let seed: u64 = args.get(4).map_or(Ok(1), |s| s.parse())?;
     let most = Duration::from_secs(args.get(5).map_or(Ok(u64::MAX), |s| s.parse())?);
@@ -24,10 +27,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let start = Instant::now();
     let prepared = ExactScene::prepare(&scene)?;
     let (triangles, occluders) = (scene.len(), prepared.occluders().count());
-    println!("{triangles} triangles, {occluders} occluders, with surfaces, in {:.2?}", start.elapsed());
+    println!(
+        "{triangles} triangles, {occluders} occluders, with surfaces, in {:.2?}",
+        start.elapsed()
+    );
     let mut state = seed;
     for _ in 0..count {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         let cell = ((state >> 33) % u64::from(pvs.cells())) as u32;
         let mut ids = Vec::new();
         pvs.visible(cell, &mut ids)?;
@@ -48,9 +56,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             asked: &|| (),
         });
         let took = start.elapsed();
-        let (e, c, d) = (decided.statistics, decided.statistics.cost, decided.statistics.cost.decisions);
+        let (e, c, d) = (
+            decided.statistics,
+            decided.statistics.cost,
+            decided.statistics.cost.decisions,
+        );
         let all = d.filtered + d.refined + d.spanned + d.exact;
-        let floats = decided.certificate.seen.iter().filter(|w| matches!(w.1, Witness::Floats(_))).count();
+        let floats = decided
+            .certificate
+            .seen
+            .iter()
+            .filter(|w| matches!(w.1, Witness::Floats(_)))
+            .count();
         let bytes = codec::encode(&decided.certificate)?.len();
         println!(
             "cell {cell}: {took:.2?}; sampled {}, visible {}, missed {}, refuted {}, hidden {} ({} boxes, \

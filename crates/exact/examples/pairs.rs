@@ -13,14 +13,21 @@ use sightline_numbers::random::SplitMix64;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
-    let path = args.get(1).ok_or("usage: pairs SCENE [COUNT [SEED [check]]]")?;
+    let path = args
+        .get(1)
+        .ok_or("usage: pairs SCENE [COUNT [SEED [check]]]")?;
     let count: usize = args.get(2).map_or(Ok(2000), |s| s.parse())?;
     let mut stream = SplitMix64::new(args.get(3).map_or(Ok(1), |s| s.parse())?);
     let mut random = move || stream.bits();
     let scene = sightline_scene::load(std::path::Path::new(path))?;
     let start = Instant::now();
     let occluders = Occluders::new(&scene)?;
-    println!("{} triangles, {} occluders in {:.2?}", scene.len(), occluders.count(), start.elapsed());
+    println!(
+        "{} triangles, {} occluders in {:.2?}",
+        scene.len(),
+        occluders.count(),
+        start.elapsed()
+    );
     let (lo, hi) = (scene.bounds().min.as_dvec3(), scene.bounds().max.as_dvec3());
     let mut kinds: [(&str, Vec<Duration>, Cost); 3] =
         ["visible", "hidden", "undecided"].map(|n| (n, Vec::new(), Cost::default()));
@@ -51,9 +58,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let id = (random() % scene.len() as u64) as usize;
         let corners = scene.triangles()[id].v.map(|v| v.as_dvec3());
         // Only what is on the outer side of the face and no part of which is in the cell.
-        let outside =
-            corners.iter().all(|p| if up { p[axis] > face[0][axis] } else { p[axis] < face[0][axis] });
-        let (Ok(a), Some(b)) = (Polygon::checked(&face), Polygon::triangle(corners)) else { continue };
+        let outside = corners.iter().all(|p| {
+            if up {
+                p[axis] > face[0][axis]
+            } else {
+                p[axis] < face[0][axis]
+            }
+        });
+        let (Ok(a), Some(b)) = (Polygon::checked(&face), Polygon::triangle(corners)) else {
+            continue;
+        };
         if !outside {
             continue;
         }
@@ -91,7 +105,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 }
                 blockers += proof.occluders.len();
                 proved += 1;
-                grown.push((proof.occluders.len() as f64, took.as_secs_f64(), cost.regions as f64));
+                grown.push((
+                    proof.occluders.len() as f64,
+                    took.as_secs_f64(),
+                    cost.regions as f64,
+                ));
                 1
             }
             Verdict::Undecided(reason) => {
@@ -127,8 +145,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             100.0 * d.zero as f64 / (d.filtered + d.refined + d.spanned + d.exact).max(1) as f64,
         );
     }
-    println!("checking a proof: {:.3} ms", checking.as_secs_f64() * 1e3 / proved.max(1) as f64);
-    println!("occluders a proof: {:.2}", blockers as f64 / proved.max(1) as f64);
+    println!(
+        "checking a proof: {:.3} ms",
+        checking.as_secs_f64() * 1e3 / proved.max(1) as f64
+    );
+    println!(
+        "occluders a proof: {:.2}",
+        blockers as f64 / proved.max(1) as f64
+    );
     growth(&grown);
     Ok(())
 }
@@ -138,10 +162,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn growth(pairs: &[(f64, f64, f64)]) {
     let mut from = 1.0;
     while pairs.iter().any(|p| p.0 >= from) {
-        let class: Vec<_> = pairs.iter().filter(|p| (from..2.0 * from).contains(&p.0)).collect();
+        let class: Vec<_> = pairs
+            .iter()
+            .filter(|p| (from..2.0 * from).contains(&p.0))
+            .collect();
         if !class.is_empty() {
-            let mean =
-                |f: fn(&(f64, f64, f64)) -> f64| class.iter().map(|p| f(p)).sum::<f64>() / class.len() as f64;
+            let mean = |f: fn(&(f64, f64, f64)) -> f64| {
+                class.iter().map(|p| f(p)).sum::<f64>() / class.len() as f64
+            };
             println!(
                 "{from} to {} effective occluders: {} pairs, mean {:.3} ms, {:.1} regions",
                 2.0 * from - 1.0,
@@ -153,8 +181,11 @@ fn growth(pairs: &[(f64, f64, f64)]) {
         from *= 2.0;
     }
     let power = |f: fn(&(f64, f64, f64)) -> f64| {
-        let logs: Vec<[f64; 2]> =
-            pairs.iter().filter(|p| p.0 >= 2.0).map(|p| [p.0.ln(), f(p).ln()]).collect();
+        let logs: Vec<[f64; 2]> = pairs
+            .iter()
+            .filter(|p| p.0 >= 2.0)
+            .map(|p| [p.0.ln(), f(p).ln()])
+            .collect();
         let n = logs.len() as f64;
         let [mx, my] = [0, 1].map(|k| logs.iter().map(|l| l[k]).sum::<f64>() / n);
         let over: f64 = logs.iter().map(|l| (l[0] - mx) * (l[1] - my)).sum();

@@ -23,28 +23,51 @@ pub fn query(raw: &[u8]) -> Option<bool> {
             bits.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
         }
         1 => bytes.next().map(|b| f32::from(b.cast_signed()) / 4.0),
-        _ => bytes.next().map(|b| f32::from(b.cast_signed() >> 4) * scale),
+        _ => bytes
+            .next()
+            .map(|b| f32::from(b.cast_signed() >> 4) * scale),
     };
     let mut scales = raw.iter().rev();
     let mut corner = || -> Option<Vec3> {
         let scale = f32::powi(2.0, i32::from(scales.next()? & 31) - 16);
-        Some(Vec3::new(coordinate(scale)?, coordinate(scale)?, coordinate(scale)?))
+        Some(Vec3::new(
+            coordinate(scale)?,
+            coordinate(scale)?,
+            coordinate(scale)?,
+        ))
     };
     let mut triangle = || Some([corner()?, corner()?, corner()?]);
     let (a, b) = (triangle()?, triangle()?);
     let triangles: Vec<[Vec3; 3]> = std::iter::from_fn(triangle).take(MOST_TRIANGLES).collect();
-    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
-    let scene =
-        Scene::new("fuzz", triangles.iter().map(|v| Triangle { v: *v }).collect(), vec![object]).ok()?;
+    let object = Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
+    let scene = Scene::new(
+        "fuzz",
+        triangles.iter().map(|v| Triangle { v: *v }).collect(),
+        vec![object],
+    )
+    .ok()?;
     let occluders = Occluders::new(&scene).ok()?;
     let ends: [[DVec3; 3]; 2] = [a, b].map(|t| t.map(|v| v.as_dvec3()));
     let [a, b] = ends.map(|t| Polygon::checked(&t).ok());
     let (a, b) = (a?, b?);
-    let limits = Limits { regions: 300, vectors: 20_000, splits: 16, divisions: 4 };
+    let limits = Limits {
+        regions: 300,
+        vectors: 20_000,
+        splits: 16,
+        divisions: 4,
+    };
     let [ca, cb] = ends.map(|t| [checker::corners(&t)]);
     let mut verdicts = [None, None];
     for (back, verdict) in verdicts.iter_mut().enumerate() {
-        let (a, b, ca, cb) = if back == 0 { (&a, &b, &ca, &cb) } else { (&b, &a, &cb, &ca) };
+        let (a, b, ca, cb) = if back == 0 {
+            (&a, &b, &ca, &cb)
+        } else {
+            (&b, &a, &cb, &ca)
+        };
         match sightlines(&occluders, a, b, &limits).0 {
             Verdict::Visible(ends) => {
                 let [p, q] = ends.each_ref().map(crate::geometry::predicates::integers);

@@ -19,60 +19,117 @@ fn ask(triangles: &[Corners], cell: Aabb, of: Aabb) -> Option<Found> {
     let scene = exact_scene(triangles);
     let cell = Cell::new(cell.min, cell.max).unwrap();
     let limits = Limits::default();
-    box_from_cell(scene.occluders(), cell, of, (&limits, &|| false), &mut Cost::default())
+    box_from_cell(
+        scene.occluders(),
+        cell,
+        of,
+        (&limits, &|| false),
+        &mut Cost::default(),
+    )
 }
 
 fn check(triangles: &[Corners], cell: Aabb, apart: HiddenBox) -> Result<(), String> {
-    let certificate = CellCertificate { apart: vec![apart], ..CellCertificate::default() };
-    let claims = CellClaims { cell, visible: &[], undecided: &[], certificate: &certificate, above: None };
+    let certificate = CellCertificate {
+        apart: vec![apart],
+        ..CellCertificate::default()
+    };
+    let claims = CellClaims {
+        cell,
+        visible: &[],
+        undecided: &[],
+        certificate: &certificate,
+        above: None,
+    };
     check_box_claim(&Triangles::new(triangles), &claims, 0).map_err(|e| e.to_string())
 }
 
 /// A wall at a height over the square from `from` to `to`.
 fn wall(z: f32, from: f32, to: f32) -> [Corners; 2] {
-    let [a, b, c, d] = [[from, from], [to, from], [to, to], [from, to]].map(|[x, y]| Vec3::new(x, y, z));
+    let [a, b, c, d] =
+        [[from, from], [to, from], [to, to], [from, to]].map(|[x, y]| Vec3::new(x, y, z));
     [[a, b, c], [a, c, d]]
 }
 
 fn unit(x: f32, y: f32, z: f32) -> Aabb {
-    Aabb { min: Vec3::new(x, y, z), max: Vec3::new(x + 1.0, y + 1.0, z + 1.0) }
+    Aabb {
+        min: Vec3::new(x, y, z),
+        max: Vec3::new(x + 1.0, y + 1.0, z + 1.0),
+    }
 }
 
 #[test]
 fn a_wall_hides_what_is_behind_it_and_a_gap_does_not() {
     let closed = wall(2.0, -20.0, 20.0);
     let (cell, of) = (unit(0.0, 0.0, 0.0), unit(0.5, 0.0, 3.0));
-    let Some(Found::Hidden(proofs)) = ask(&closed, cell, of) else { panic!("the wall hides the box") };
+    let Some(Found::Hidden(proofs)) = ask(&closed, cell, of) else {
+        panic!("the wall hides the box")
+    };
     let apart = HiddenBox { bounds: of, proofs };
     assert_eq!(check(&closed, cell, apart.clone()), Ok(()));
     // A larger box, a box on this side, proofs that are missing or too many, another wall.
-    let larger = HiddenBox { bounds: Aabb { min: of.min - 1.5, max: of.max }, ..apart.clone() };
+    let larger = HiddenBox {
+        bounds: Aabb {
+            min: of.min - 1.5,
+            max: of.max,
+        },
+        ..apart.clone()
+    };
     assert!(check(&closed, cell, larger).is_err());
-    let beside = HiddenBox { bounds: unit(2.0, 0.0, 0.0), ..apart.clone() };
+    let beside = HiddenBox {
+        bounds: unit(2.0, 0.0, 0.0),
+        ..apart.clone()
+    };
     assert!(check(&closed, cell, beside).is_err());
     let mut few = apart.clone();
     few.proofs.pop();
     assert!(check(&closed, cell, few).unwrap_err().contains("missing"));
     let mut many = apart.clone();
     many.proofs.push(many.proofs[0].clone());
-    assert!(check(&closed, cell, many).unwrap_err().contains("more proofs"));
+    assert!(
+        check(&closed, cell, many)
+            .unwrap_err()
+            .contains("more proofs")
+    );
     assert!(check(&wall(2.0, -20.0, 0.9), cell, apart).is_err());
     // The wall ends beside the box.
-    assert!(matches!(ask(&wall(2.0, -20.0, 0.9), cell, of), Some(Found::Visible(_))));
+    assert!(matches!(
+        ask(&wall(2.0, -20.0, 0.9), cell, of),
+        Some(Found::Visible(_))
+    ));
 }
 
 #[test]
 fn boxes_with_a_common_face_are_not_asked_about() {
     let none: Vec<Corners> = wall(9.0, 0.0, 1.0).into();
     let cell = unit(0.0, 0.0, 0.0);
-    for of in [unit(1.0, 0.0, 0.0), unit(1.0, 0.5, 0.5), unit(0.5, 0.0, 0.0), unit(0.0, 0.0, -1.0)] {
+    for of in [
+        unit(1.0, 0.0, 0.0),
+        unit(1.0, 0.5, 0.5),
+        unit(0.5, 0.0, 0.0),
+        unit(0.0, 0.0, -1.0),
+    ] {
         assert!(ask(&none, cell, of).is_none(), "{of:?}");
-        let empty = HiddenBox { bounds: of, proofs: Vec::new() };
-        assert!(check(&none, cell, empty).unwrap_err().contains("part of a face"), "{of:?}");
+        let empty = HiddenBox {
+            bounds: of,
+            proofs: Vec::new(),
+        };
+        assert!(
+            check(&none, cell, empty)
+                .unwrap_err()
+                .contains("part of a face"),
+            "{of:?}"
+        );
     }
     // An edge, a corner: asked about, and seen past them.
-    for of in [unit(1.0, 1.0, 0.0), unit(1.0, -1.0, 0.5), unit(1.0, 1.0, 1.0)] {
-        assert!(matches!(ask(&none, cell, of), Some(Found::Visible(_))), "{of:?}");
+    for of in [
+        unit(1.0, 1.0, 0.0),
+        unit(1.0, -1.0, 0.5),
+        unit(1.0, 1.0, 1.0),
+    ] {
+        assert!(
+            matches!(ask(&none, cell, of), Some(Found::Visible(_))),
+            "{of:?}"
+        );
     }
 }
 
@@ -80,11 +137,21 @@ fn boxes_with_a_common_face_are_not_asked_about() {
 fn boxes_that_touch_at_an_edge_are_hidden_by_a_wall_through_it() {
     // A wall in the plane x + y = 2.
     let v = Vec3::new;
-    let [a, b, c, d] = [v(-9.0, 11.0, -9.0), v(11.0, -9.0, -9.0), v(11.0, -9.0, 9.0), v(-9.0, 11.0, 9.0)];
+    let [a, b, c, d] = [
+        v(-9.0, 11.0, -9.0),
+        v(11.0, -9.0, -9.0),
+        v(11.0, -9.0, 9.0),
+        v(-9.0, 11.0, 9.0),
+    ];
     let triangles: Vec<Corners> = vec![[a, b, c], [a, c, d]];
     let (cell, of) = (unit(0.0, 0.0, 0.0), unit(1.0, 1.0, 0.0));
-    let Some(Found::Hidden(proofs)) = ask(&triangles, cell, of) else { panic!("a wall is between") };
-    assert_eq!(check(&triangles, cell, HiddenBox { bounds: of, proofs }), Ok(()));
+    let Some(Found::Hidden(proofs)) = ask(&triangles, cell, of) else {
+        panic!("a wall is between")
+    };
+    assert_eq!(
+        check(&triangles, cell, HiddenBox { bounds: of, proofs }),
+        Ok(())
+    );
 }
 
 /// Whether a segment meets a triangle, in doubles; segments near edges may go either way.

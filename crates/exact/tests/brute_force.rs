@@ -42,10 +42,14 @@ impl Pair {
     fn new(triangles: &[Corners], a: Corners, b: Corners) -> Self {
         let doubles = |t: &Corners| t.map(|p| p.as_dvec3());
         let in_plane = |of: &Corners, t: &Corners| {
-            t.iter().all(|p| orient3d_sign(of[0], of[1], of[2], *p) == Ordering::Equal)
+            t.iter()
+                .all(|p| orient3d_sign(of[0], of[1], of[2], *p) == Ordering::Equal)
         };
-        let blockers =
-            triangles.iter().filter(|t| !in_plane(&a, t) && !in_plane(&b, t)).map(doubles).collect();
+        let blockers = triangles
+            .iter()
+            .filter(|t| !in_plane(&a, t) && !in_plane(&b, t))
+            .map(doubles)
+            .collect();
         Self { a, b, blockers }
     }
 
@@ -84,7 +88,11 @@ fn met(t: &Corners, o: DVec3, d: DVec3) -> Option<DVec3> {
     }
     let p = o + d * (n.dot(a - o) / along);
     let area = n.length_squared();
-    let w = [(b - p).cross(c - p).dot(n), (c - p).cross(a - p).dot(n), (a - p).cross(b - p).dot(n)];
+    let w = [
+        (b - p).cross(c - p).dot(n),
+        (c - p).cross(a - p).dot(n),
+        (a - p).cross(b - p).dot(n),
+    ];
     w.iter().all(|w| *w / area > 1e-6).then_some(p)
 }
 
@@ -119,7 +127,11 @@ fn triangle(random: &mut Random, whole: bool, around: DVec3, reach: f64) -> Corn
     loop {
         let t = [0; 3].map(|_| {
             let p = around + DVec3::from([0; 3].map(|_| random.between(-reach, reach)));
-            if whole { p.round().as_vec3() } else { p.as_vec3() }
+            if whole {
+                p.round().as_vec3()
+            } else {
+                p.as_vec3()
+            }
         });
         if (t[1] - t[0]).cross(t[2] - t[0]).length() > 0.5 {
             return t;
@@ -130,9 +142,14 @@ fn triangle(random: &mut Random, whole: bool, around: DVec3, reach: f64) -> Corn
 /// A scene of which enough is hidden, with a wall across most of it.
 fn scene(random: &mut Random, whole: bool, reach: f64) -> World {
     let count = 5 + random.below(30);
-    let mut triangles: Vec<Corners> =
-        (0..count).map(|_| triangle(random, whole, DVec3::ZERO, reach)).collect();
-    let z = if whole { 0.0 } else { random.between(-0.5, 0.5) as f32 };
+    let mut triangles: Vec<Corners> = (0..count)
+        .map(|_| triangle(random, whole, DVec3::ZERO, reach))
+        .collect();
+    let z = if whole {
+        0.0
+    } else {
+        random.between(-0.5, 0.5) as f32
+    };
     let corner = |x: f32, y: f32| Vec3::new(x * reach as f32, y * reach as f32, z);
     triangles.push([corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0)]);
     triangles.push([corner(-1.0, -1.0), corner(1.0, 1.0), corner(-0.5, 1.0)]);
@@ -141,7 +158,11 @@ fn scene(random: &mut Random, whole: bool, reach: f64) -> World {
 
 /// Small triangles on both sides of the wall, or any.
 fn ends(random: &mut Random, whole: bool, reach: f64) -> [Corners; 2] {
-    let (up, size) = if random.below(4) > 0 { (reach - 1.0, 1.4) } else { (0.0, reach) };
+    let (up, size) = if random.below(4) > 0 {
+        (reach - 1.0, 1.4)
+    } else {
+        (0.0, reach)
+    };
     [-up, up].map(|z| triangle(random, whole, DVec3::Z * z, size))
 }
 
@@ -171,7 +192,13 @@ fn no_segment_is_free_where_nothing_is_seen() {
             }
         }
     }
-    assert!(undecided.is_empty(), "{} of {}: {}", undecided.len(), seen + hidden, undecided[0]);
+    assert!(
+        undecided.is_empty(),
+        "{} of {}: {}",
+        undecided.len(),
+        seen + hidden,
+        undecided[0]
+    );
     // Enough of both kinds, and segments that find most of what is seen: else the above would say little.
     assert!(seen > 500 && hidden > 500, "{seen} seen, {hidden} hidden");
     assert!(found * 10 > seen * 9, "{found} of {seen} found");
@@ -186,7 +213,9 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
         let world = scene(&mut random, whole, 3.0);
         let [a, b] = ends(&mut random, whole, 3.0);
         let [x, y] = [a, b].map(|t| [Polygon::triangle(t.map(|p| p.as_dvec3())).unwrap()]);
-        let Ok(verdict) = world.verdict(&x, &y) else { continue };
+        let Ok(verdict) = world.verdict(&x, &y) else {
+            continue;
+        };
         let mut triangles = world.triangles.clone();
         match &verdict {
             Verdict::Visible(ends) => {
@@ -208,7 +237,10 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
                     let was = triangles[blocker as usize];
                     triangles[blocker as usize] = was.map(|p| p + Vec3::splat(100.0));
                     if search(&mut random, &Pair::new(&triangles, a, b), 2000).is_some() {
-                        assert!(check(&triangles, &x, &y, &verdict).is_err(), "{seed} without {blocker}");
+                        assert!(
+                            check(&triangles, &x, &y, &verdict).is_err(),
+                            "{seed} without {blocker}"
+                        );
                         proofs += 1;
                     }
                     triangles[blocker as usize] = was;
@@ -218,7 +250,10 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
                 for at in 0..proof.steps.len() {
                     let mut other = proof.clone();
                     other.steps.insert(at, Step::Unreal);
-                    assert!(check(&triangles, &x, &y, &Verdict::Hidden(other)).is_err(), "{seed}, step {at}");
+                    assert!(
+                        check(&triangles, &x, &y, &Verdict::Hidden(other)).is_err(),
+                        "{seed}, step {at}"
+                    );
                     let parts = match &proof.steps[at] {
                         Step::Block { cuts, .. } => cuts.len(),
                         Step::Unreal => 0,
@@ -233,7 +268,10 @@ fn what_a_verdict_rests_on_is_refused_where_it_is_not_so() {
             Verdict::Undecided(_) => {}
         }
     }
-    assert!(witnesses > 50 && proofs > 50, "{witnesses} witnesses, {proofs} proofs");
+    assert!(
+        witnesses > 50 && proofs > 50,
+        "{witnesses} witnesses, {proofs} proofs"
+    );
 }
 
 #[test]
@@ -253,7 +291,19 @@ fn segments_that_meet_a_triangle_do_not_pass_for_free() {
         assert_eq!(misses(q, p, t), free, "{x} {y}");
     }
     // In its plane, and short of it.
-    assert!(!misses(DVec3::new(-1.0, 0.2, 0.0), DVec3::new(1.0, 0.2, 0.0), t));
-    assert!(misses(DVec3::new(0.3, 0.3, 1.0), DVec3::new(0.3, 0.3, 1e-3), t));
-    assert!(!misses(DVec3::new(0.3, 0.3, 1.0), DVec3::new(0.3, 0.3, 0.0), t));
+    assert!(!misses(
+        DVec3::new(-1.0, 0.2, 0.0),
+        DVec3::new(1.0, 0.2, 0.0),
+        t
+    ));
+    assert!(misses(
+        DVec3::new(0.3, 0.3, 1.0),
+        DVec3::new(0.3, 0.3, 1e-3),
+        t
+    ));
+    assert!(!misses(
+        DVec3::new(0.3, 0.3, 1.0),
+        DVec3::new(0.3, 0.3, 0.0),
+        t
+    ));
 }

@@ -14,14 +14,23 @@ use proptest::prelude::*;
 use sightline_certificate::checker::{CellClaims, CellRefusal, Claim, Triangles, check_cell};
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenGroup, Target, codec};
 use sightline_exact::Cell;
-use sightline_exact::{CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group};
+use sightline_exact::{
+    CellGroup, Decided, ExactScene, GroupDecided, Limits, Task, decide, decide_group,
+};
 use sightline_scene::Aabb;
 
 /// The eight cells that fill a box, the first axis changing fastest.
 fn cells(Aabb { min, max }: Aabb) -> Vec<Aabb> {
     let middle = (min + max) * 0.5;
     let corner = |k: usize| Vec3::new((k & 1) as f32, (k >> 1 & 1) as f32, (k >> 2) as f32);
-    (0..8).map(|k| Aabb::new(min + (middle - min) * corner(k), middle + (max - middle) * corner(k))).collect()
+    (0..8)
+        .map(|k| {
+            Aabb::new(
+                min + (middle - min) * corner(k),
+                middle + (max - middle) * corner(k),
+            )
+        })
+        .collect()
 }
 
 fn shared(
@@ -30,9 +39,16 @@ fn shared(
     seen: &[&[u32]],
     stop: &(dyn Fn() -> bool + Sync),
 ) -> (Vec<u32>, GroupCertificate) {
-    let cells: Vec<Cell> = of.iter().map(|b| Cell::new(b.min, b.max).unwrap()).collect();
+    let cells: Vec<Cell> = of
+        .iter()
+        .map(|b| Cell::new(b.min, b.max).unwrap())
+        .collect();
     let limits = Limits::default();
-    let GroupDecided { hidden, shared, statistics } = decide_group(&CellGroup {
+    let GroupDecided {
+        hidden,
+        shared,
+        statistics,
+    } = decide_group(&CellGroup {
         scene,
         cells: &cells,
         places: None,
@@ -45,7 +61,11 @@ fn shared(
         asked: &|| (),
     });
     assert_eq!(statistics.hidden, hidden.len() as u64);
-    let mut all: Vec<u32> = shared.hidden.iter().flat_map(|h| h.triangles.iter().copied()).collect();
+    let mut all: Vec<u32> = shared
+        .hidden
+        .iter()
+        .flat_map(|h| h.triangles.iter().copied())
+        .collect();
     all.sort_unstable();
     assert_eq!(all, hidden);
     (hidden, shared)
@@ -75,14 +95,26 @@ fn check(
     above: Option<&GroupCertificate>,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let named = CellCertificate { above: above.map(|_| 0), ..certificate.clone() };
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate: &named, above };
+    let named = CellCertificate {
+        above: above.map(|_| 0),
+        ..certificate.clone()
+    };
+    let claims = CellClaims {
+        cell,
+        visible: &visible,
+        undecided: &d.undecided,
+        certificate: &named,
+        above,
+    };
     check_cell(&index, &claims, &|_| true)
 }
 
 /// The first chamber's far part, from which half of what is behind the wall is hidden.
 fn corner() -> (Vec<Corners>, Aabb) {
-    (chambers().0, Aabb::new(Vec3::new(1.0, 5.0, 0.5), Vec3::new(5.0, 9.0, 2.5)))
+    (
+        chambers().0,
+        Aabb::new(Vec3::new(1.0, 5.0, 0.5), Vec3::new(5.0, 9.0, 2.5)),
+    )
 }
 
 #[test]
@@ -90,16 +122,29 @@ fn what_is_hidden_from_the_box_is_hidden_from_each_cell_and_all_else_stays() {
     let (triangles, around) = corner();
     let scene = exact_scene(&triangles);
     let cells = cells(around);
-    let alone: Vec<Decided> = cells.iter().map(|c| solve(&scene, *c, &[], &|| false)).collect();
+    let alone: Vec<Decided> = cells
+        .iter()
+        .map(|c| solve(&scene, *c, &[], &|| false))
+        .collect();
     let none: [&[u32]; 8] = [&[]; 8];
     let (hidden, shared_by_all) = shared(&scene, &cells, &none, &|| false);
     assert!(hidden.len() > 20, "{hidden:?}");
     let (mut apart, mut joint) = (0, 0);
     for (cell, alone) in cells.iter().zip(&alone) {
-        assert!(hidden.iter().all(|t| alone.visible.binary_search(t).is_err()));
+        assert!(
+            hidden
+                .iter()
+                .all(|t| alone.visible.binary_search(t).is_err())
+        );
         let d = below(&scene, *cell, &[], &hidden);
-        assert_eq!((&d.visible, &d.undecided), (&alone.visible, &alone.undecided));
-        assert_eq!((d.statistics.hidden, d.statistics.above), (alone.statistics.hidden, hidden.len() as u64));
+        assert_eq!(
+            (&d.visible, &d.undecided),
+            (&alone.visible, &alone.undecided)
+        );
+        assert_eq!(
+            (d.statistics.hidden, d.statistics.above),
+            (alone.statistics.hidden, hidden.len() as u64)
+        );
         check(&triangles, *cell, &d, &d.certificate, Some(&shared_by_all)).unwrap();
         apart += alone.statistics.queries;
         joint += d.statistics.queries;
@@ -127,7 +172,10 @@ fn what_there_was_no_time_for_is_left_to_the_cells() {
         let asked = AtomicU32::new(0);
         let stop = || asked.fetch_add(1, Ordering::Relaxed) >= most;
         let (hidden, of) = shared(&scene, &cells, &none, &stop);
-        assert!(hidden.iter().all(|t| whole.binary_search(t).is_ok()), "stopped after {most}");
+        assert!(
+            hidden.iter().all(|t| whole.binary_search(t).is_ok()),
+            "stopped after {most}"
+        );
         let d = below(&scene, cells[3], &[], &hidden);
         assert!(d.undecided.is_empty());
         check(&triangles, cells[3], &d, &d.certificate, Some(&of)).unwrap();
@@ -146,7 +194,10 @@ fn tampered_claims_about_a_box_are_refused() {
     let ask = |of: &GroupCertificate| check(&triangles, cell, &d, &d.certificate, Some(of));
     ask(&of).unwrap();
     // Nothing named.
-    assert!(matches!(check(&triangles, cell, &d, &d.certificate, None), Err(CellRefusal::Account(..))));
+    assert!(matches!(
+        check(&triangles, cell, &d, &d.certificate, None),
+        Err(CellRefusal::Account(..))
+    ));
     let with = |change: &dyn Fn(&mut GroupCertificate)| {
         let mut changed = of.clone();
         change(&mut changed);
@@ -154,8 +205,14 @@ fn tampered_claims_about_a_box_are_refused() {
     };
     // A box that the cell is not in, none at all, one that is larger than what was proved.
     for (axis, greatest) in cell.max.to_array().into_iter().enumerate() {
-        assert_eq!(with(&|s| s.bounds.min[axis] = s.bounds.min[axis].next_up()), Err(CellRefusal::Above));
-        assert_eq!(with(&|s| s.bounds.max[axis] = greatest.next_down()), Err(CellRefusal::Above));
+        assert_eq!(
+            with(&|s| s.bounds.min[axis] = s.bounds.min[axis].next_up()),
+            Err(CellRefusal::Above)
+        );
+        assert_eq!(
+            with(&|s| s.bounds.max[axis] = greatest.next_down()),
+            Err(CellRefusal::Above)
+        );
         for not in [f32::NAN, f32::NEG_INFINITY] {
             assert!(with(&|s| s.bounds.min[axis] = not).is_err());
         }
@@ -167,15 +224,25 @@ fn tampered_claims_about_a_box_are_refused() {
     let claimed = |target: Target| {
         with(&move |s| {
             let triangles = std::mem::take(&mut s.hidden[0].triangles);
-            s.hidden[0] = HiddenGroup { target: target.clone(), triangles, proofs: Vec::new() };
+            s.hidden[0] = HiddenGroup {
+                target: target.clone(),
+                triangles,
+                proofs: Vec::new(),
+            };
         })
     };
     assert!(refused(claimed(Target::Surfaces)) && refused(claimed(Target::Half)));
     // What is seen from the cell.
     let seen = d.certificate.seen[0].0;
-    assert!(matches!(with(&|s| s.hidden[0].triangles.push(seen)), Err(CellRefusal::Account(..))));
+    assert!(matches!(
+        with(&|s| s.hidden[0].triangles.push(seen)),
+        Err(CellRefusal::Account(..))
+    ));
     let beyond = triangles.len() as u32;
-    assert!(matches!(with(&|s| s.hidden[0].triangles.push(beyond)), Err(CellRefusal::Account(..))));
+    assert!(matches!(
+        with(&|s| s.hidden[0].triangles.push(beyond)),
+        Err(CellRefusal::Account(..))
+    ));
     // Kept with the cell for others, it is checked with the cell, whatever the cell itself names.
     let mut own = d.certificate.clone();
     let mut kept = of.clone();
@@ -183,12 +250,24 @@ fn tampered_claims_about_a_box_are_refused() {
     (own.shared, own.above) = (Some(kept), Some(0));
     assert!(refused(check(&triangles, cell, &d, &own, Some(&of))));
     let visible = set(&d);
-    let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate: &own, above: Some(&of) };
+    let claims = CellClaims {
+        cell,
+        visible: &visible,
+        undecided: &[],
+        certificate: &own,
+        above: Some(&of),
+    };
     let others = |claim: Claim| !matches!(claim, Claim::Shared(_));
     check_cell(&Triangles::new(&triangles), &claims, &others).unwrap();
     // Named and not there, or there and not named.
     let with = |certificate: &CellCertificate, above| {
-        let claims = CellClaims { cell, visible: &visible, undecided: &[], certificate, above };
+        let claims = CellClaims {
+            cell,
+            visible: &visible,
+            undecided: &[],
+            certificate,
+            above,
+        };
         check_cell(&Triangles::new(&triangles), &claims, &|_| true)
     };
     assert_eq!(with(&own, None), Err(CellRefusal::Above));
@@ -207,7 +286,10 @@ fn a_certificate_without_a_group_is_written_as_it_always_was() {
     assert!(longer.starts_with(&raw) && longer[raw.len()..] == [4]);
     assert_eq!(codec::decode_raw(&longer, n).unwrap(), more);
     assert_eq!(codec::decode_raw(&raw, n).unwrap(), d.certificate);
-    assert!(codec::decode_raw(&[raw.as_slice(), &[0]].concat(), n).is_err(), "two forms for the same");
+    assert!(
+        codec::decode_raw(&[raw.as_slice(), &[0]].concat(), n).is_err(),
+        "two forms for the same"
+    );
 }
 
 proptest! {

@@ -27,7 +27,13 @@ fn check(
     certificate: &CellCertificate,
 ) -> Result<u64, CellRefusal> {
     let (visible, index) = (set(d), Triangles::new(triangles));
-    let claims = CellClaims { cell, visible: &visible, undecided: &d.undecided, certificate, above: None };
+    let claims = CellClaims {
+        cell,
+        visible: &visible,
+        undecided: &d.undecided,
+        certificate,
+        above: None,
+    };
     check_cell(&index, &claims, &|_| true)
 }
 
@@ -37,9 +43,17 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
     assert!(d.undecided.is_empty(), "{:?}", d.undecided);
-    assert_eq!(d.statistics.hidden as usize + d.visible.len(), triangles.len());
+    assert_eq!(
+        d.statistics.hidden as usize + d.visible.len(),
+        triangles.len()
+    );
     assert!(d.statistics.boxes > 0, "some box is hidden as a whole");
-    assert!(d.visible.iter().all(|t| (*t as usize) < triangles.len() - 12), "nothing outside is seen");
+    assert!(
+        d.visible
+            .iter()
+            .all(|t| (*t as usize) < triangles.len() - 12),
+        "nothing outside is seen"
+    );
     assert!(check(&triangles, cell, &d, &d.certificate).unwrap() > 0);
     // Guesses change nothing but what is found by rays; wrong ones are refuted.
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
@@ -49,8 +63,15 @@ fn a_room_behind_a_door_is_decided_and_every_claim_checked() {
     check(&triangles, cell, &guessed, &guessed.certificate).unwrap();
     // The same again is the same to the last byte.
     let again = solve(&scene, cell, &all, &|| false);
-    assert_eq!(codec::encode(&again.certificate).unwrap(), codec::encode(&guessed.certificate).unwrap());
-    let read = codec::decode(&codec::encode(&d.certificate).unwrap(), triangles.len() as u32).unwrap();
+    assert_eq!(
+        codec::encode(&again.certificate).unwrap(),
+        codec::encode(&guessed.certificate).unwrap()
+    );
+    let read = codec::decode(
+        &codec::encode(&d.certificate).unwrap(),
+        triangles.len() as u32,
+    )
+    .unwrap();
     assert_eq!(read, d.certificate);
 }
 
@@ -61,10 +82,25 @@ fn what_is_not_reached_in_time_is_undecided_and_the_rest_holds() {
     let whole = solve(&scene, cell, &[], &|| false);
     for most in [0, 1, 3, 10, 20, 50, 200, 1000] {
         let asked = AtomicU32::new(0);
-        let d = solve(&scene, cell, &whole.visible, &|| asked.fetch_add(1, Ordering::Relaxed) >= most);
-        assert!(d.visible.iter().all(|t| whole.visible.binary_search(t).is_ok()));
-        assert!(whole.visible.iter().all(|t| set(&d).binary_search(t).is_ok()), "stopped after {most}");
-        assert_eq!(d.statistics.open.iter().sum::<u64>(), d.undecided.len() as u64);
+        let d = solve(&scene, cell, &whole.visible, &|| {
+            asked.fetch_add(1, Ordering::Relaxed) >= most
+        });
+        assert!(
+            d.visible
+                .iter()
+                .all(|t| whole.visible.binary_search(t).is_ok())
+        );
+        assert!(
+            whole
+                .visible
+                .iter()
+                .all(|t| set(&d).binary_search(t).is_ok()),
+            "stopped after {most}"
+        );
+        assert_eq!(
+            d.statistics.open.iter().sum::<u64>(),
+            d.undecided.len() as u64
+        );
         check(&triangles, cell, &d, &d.certificate).unwrap();
     }
 }
@@ -77,11 +113,25 @@ fn tampered_claims_are_refused() {
     let index = Triangles::new(&triangles);
     let visible = set(&d);
     let ask = |cell, visible: &[u32], undecided: &[u32], certificate: &CellCertificate| {
-        check_cell(&index, &CellClaims { cell, visible, undecided, certificate, above: None }, &|_| true)
+        check_cell(
+            &index,
+            &CellClaims {
+                cell,
+                visible,
+                undecided,
+                certificate,
+                above: None,
+            },
+            &|_| true,
+        )
     };
     ask(cell, &visible, &[], &d.certificate).unwrap();
     // Hiding what is seen, and showing what is hidden.
-    let without: Vec<u32> = visible.iter().copied().filter(|t| *t != visible[3]).collect();
+    let without: Vec<u32> = visible
+        .iter()
+        .copied()
+        .filter(|t| *t != visible[3])
+        .collect();
     assert!(ask(cell, &without, &[], &d.certificate).is_err());
     let hidden = d.certificate.hidden[0].triangles[0];
     let mut with = visible.clone();
@@ -90,13 +140,22 @@ fn tampered_claims_are_refused() {
     assert!(ask(cell, &with, &[], &d.certificate).is_err());
     let mut fewer = d.certificate.clone();
     fewer.hidden.remove(0);
-    assert!(matches!(ask(cell, &visible, &[], &fewer), Err(CellRefusal::Account(..))));
+    assert!(matches!(
+        ask(cell, &visible, &[], &fewer),
+        Err(CellRefusal::Account(..))
+    ));
     let mut both = fewer.clone();
-    let (first, last) = (d.certificate.seen[0].clone(), d.certificate.seen.last().unwrap().clone());
+    let (first, last) = (
+        d.certificate.seen[0].clone(),
+        d.certificate.seen.last().unwrap().clone(),
+    );
     both.seen = vec![(first.0, last.1)];
     both.seen.extend(d.certificate.seen[1..].iter().cloned());
     both.hidden = d.certificate.hidden.clone();
-    assert!(matches!(ask(cell, &visible, &[], &both), Err(CellRefusal::Witness(..))));
+    assert!(matches!(
+        ask(cell, &visible, &[], &both),
+        Err(CellRefusal::Witness(..))
+    ));
     // A cell that is larger sees more: some proof must fail, or some witness begin outside.
     let larger = Aabb::new(Vec3::new(1.0, 0.5, 1.0), Vec3::new(9.5, 8.0, 2.0));
     assert!(ask(larger, &visible, &[], &d.certificate).is_err());
@@ -107,29 +166,49 @@ fn tampered_claims_are_refused() {
         if e.hidden[at].target == Target::Surfaces {
             // What another triangle's surface hides, and what is not all on the hidden side.
             for other in 0..triangles.len() as u32 {
-                if !e.hidden[at].triangles.contains(&other) && visible.binary_search(&other).is_err() {
+                if !e.hidden[at].triangles.contains(&other)
+                    && visible.binary_search(&other).is_err()
+                {
                     let [mut taken, mut added] = [e.clone(), e.clone()];
-                    taken.hidden.iter_mut().for_each(|h| h.triangles.retain(|t| *t != other));
+                    taken
+                        .hidden
+                        .iter_mut()
+                        .for_each(|h| h.triangles.retain(|t| *t != other));
                     added.hidden[at].triangles.push(other);
                     added.hidden[at].triangles.sort_unstable();
-                    assert!(matches!(ask(cell, &visible, &[], &taken), Err(CellRefusal::Account(..))));
+                    assert!(matches!(
+                        ask(cell, &visible, &[], &taken),
+                        Err(CellRefusal::Account(..))
+                    ));
                     assert!(ask(cell, &visible, &[], &added).is_err());
                 }
             }
-            let front: Vec<u32> =
-                visible.iter().copied().filter(|t| !d.certificate.hidden[at].triangles.contains(t)).collect();
+            let front: Vec<u32> = visible
+                .iter()
+                .copied()
+                .filter(|t| !d.certificate.hidden[at].triangles.contains(t))
+                .collect();
             for seen in &front {
                 let less: Vec<u32> = visible.iter().copied().filter(|t| t != seen).collect();
                 let mut lying = e.clone();
                 lying.seen.retain(|(t, _)| t != seen);
                 lying.hidden[at].triangles.push(*seen);
                 lying.hidden[at].triangles.sort_unstable();
-                assert!(matches!(ask(cell, &less, &[], &lying), Err(CellRefusal::Hidden { .. })), "{seen}");
+                assert!(
+                    matches!(
+                        ask(cell, &less, &[], &lying),
+                        Err(CellRefusal::Hidden { .. })
+                    ),
+                    "{seen}"
+                );
             }
             continue;
         }
         e.hidden[at].proofs.pop();
-        assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
+        assert!(matches!(
+            ask(cell, &visible, &[], &e),
+            Err(CellRefusal::Hidden { .. })
+        ));
         if let Target::Box(Aabb { min, .. }) = &mut e.hidden[at].target {
             *min += Vec3::splat(0.25);
             e.hidden[at].proofs = d.certificate.hidden[at].proofs.clone();
@@ -147,19 +226,31 @@ fn tampered_claims_are_refused() {
             for other in [smaller, bent, crossed, Vec::new()] {
                 let mut e = d.certificate.clone();
                 e.hidden[at].target = Target::Polygon(other.into());
-                assert!(matches!(ask(cell, &visible, &[], &e), Err(CellRefusal::Hidden { .. })));
+                assert!(matches!(
+                    ask(cell, &visible, &[], &e),
+                    Err(CellRefusal::Hidden { .. })
+                ));
             }
             polygons += 1;
         }
     }
-    assert!(polygons > 0, "no triangles were hidden together in a polygon");
+    assert!(
+        polygons > 0,
+        "no triangles were hidden together in a polygon"
+    );
     // A witness that goes on through a wall.
     let (at, id, [p, q]) = d
         .certificate
         .seen
         .iter()
         .enumerate()
-        .find_map(|(at, (id, w))| if let Witness::Floats(ends) = w { Some((at, *id, *ends)) } else { None })
+        .find_map(|(at, (id, w))| {
+            if let Witness::Floats(ends) = w {
+                Some((at, *id, *ends))
+            } else {
+                None
+            }
+        })
         .unwrap();
     let mut e = d.certificate.clone();
     e.seen[at].1 = Witness::Floats([p, p + (p - q)]);
@@ -181,7 +272,11 @@ fn solid(min: Vec3, max: Vec3) -> Vec<Corners> {
         };
         let (a, c) = (corner(false, false), corner(true, true));
         let (b, d) = (corner(up, !up), corner(!up, up));
-        if i.is_multiple_of(2) { [a, b, c] } else { [a, c, d] }
+        if i.is_multiple_of(2) {
+            [a, b, c]
+        } else {
+            [a, c, d]
+        }
     };
     (0..12).map(triangle).collect()
 }
@@ -193,7 +288,10 @@ fn what_faces_away_is_hidden_without_a_query() {
     let cell = Aabb::new(Vec3::new(-2.0, 0.25, 0.25), Vec3::new(-1.0, 0.75, 0.75));
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
-    assert_eq!((d.statistics.enclosed, d.statistics.queries > 0), (16, true));
+    assert_eq!(
+        (d.statistics.enclosed, d.statistics.queries > 0),
+        (16, true)
+    );
     check(&triangles, cell, &d, &d.certificate).unwrap();
     // Inside of a box nothing of it is hidden, and all of the other.
     let inside = Aabb::new(Vec3::splat(0.25), Vec3::splat(0.75));
@@ -205,7 +303,11 @@ fn what_faces_away_is_hidden_without_a_query() {
     triangles.remove(1);
     let scene = exact_scene(&triangles);
     let d = solve(&scene, cell, &[], &|| false);
-    assert!(d.visible.iter().filter(|t| **t < 11).count() > 2, "{:?}", d.visible);
+    assert!(
+        d.visible.iter().filter(|t| **t < 11).count() > 2,
+        "{:?}",
+        d.visible
+    );
     check(&triangles, cell, &d, &d.certificate).unwrap();
     let beside = Aabb::new(Vec3::new(2.0, -2.0, 0.25), Vec3::new(3.0, -1.0, 0.75));
     let d = solve(&scene, beside, &[], &|| false);

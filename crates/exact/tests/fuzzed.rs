@@ -10,19 +10,26 @@ use sightline_numbers::random::SplitMix64;
 /// `count` random bytes from a seed.
 fn bytes(seed: u64, count: usize) -> Vec<u8> {
     let mut stream = SplitMix64::new(seed);
-    (0..count.div_ceil(8)).flat_map(|_| stream.bits().to_le_bytes()).take(count).collect()
+    (0..count.div_ceil(8))
+        .flat_map(|_| stream.bits().to_le_bytes())
+        .take(count)
+        .collect()
 }
 
 fn variable(name: &str, otherwise: u64) -> u64 {
-    std::env::var(name)
-        .ok()
-        .map_or(otherwise, |v| v.parse().unwrap_or_else(|_| panic!("{name}={v} is no number")))
+    std::env::var(name).ok().map_or(otherwise, |v| {
+        v.parse()
+            .unwrap_or_else(|_| panic!("{name}={v} is no number"))
+    })
 }
 
 /// Random bytes of one kind; of coordinates on a grid few values, so that much is in one plane, on one line
 /// and in one place.
 fn run(kind: u8) {
-    let (cases, first) = (variable("SIGHTLINE_FUZZ_CASES", 200), variable("SIGHTLINE_FUZZ_SEED", 1));
+    let (cases, first) = (
+        variable("SIGHTLINE_FUZZ_CASES", 200),
+        variable("SIGHTLINE_FUZZ_SEED", 1),
+    );
     let mut found = [0u64; 3];
     for seed in first..first + cases {
         let size = [60, 100, 160, 250][(seed % 4) as usize] * if kind == 0 { 4 } else { 1 };
@@ -31,12 +38,14 @@ fn run(kind: u8) {
         let mask = [0x0f, 0x1f, 0x3f, 0xff][(seed / 4 % 4) as usize];
         if kind != 0 {
             // Sign and magnitude of few bits.
-            raw[1..].iter_mut().for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
+            raw[1..]
+                .iter_mut()
+                .for_each(|b| *b = (*b & mask).wrapping_sub(mask / 2));
             if seed % 2 == 0 {
                 // One small triangle on either side, and all others large and between them, where they hide
                 // something.
-                let [small, large] =
-                    [3i8, 120].map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
+                let [small, large] = [3i8, 120]
+                    .map(|most| move |b: u8| ((b.cast_signed() as i32 * most as i32) / 128) as u8);
                 for (i, triangle) in raw[1..].chunks_mut(9).enumerate() {
                     for (k, b) in triangle.iter_mut().enumerate() {
                         *b = match (i, k % 3) {
@@ -50,20 +59,30 @@ fn run(kind: u8) {
             }
         }
         let result = std::panic::catch_unwind(|| query(&raw));
-        let Ok(verdict) = result else { panic!("kind {kind}, seed {seed}") };
+        let Ok(verdict) = result else {
+            panic!("kind {kind}, seed {seed}")
+        };
         found[verdict.map_or(2, usize::from)] += 1;
     }
-    println!("kind {kind}: {} hidden, {} visible, {} neither", found[0], found[1], found[2]);
+    println!(
+        "kind {kind}: {} hidden, {} visible, {} neither",
+        found[0], found[1], found[2]
+    );
     // Of any floats few hide anything.
     let hidden = kind == 0 || found[0] > cases / 20;
-    assert!(hidden && found[1] > cases / 20, "next to nothing was decided: {found:?}");
+    assert!(
+        hidden && found[1] > cases / 20,
+        "next to nothing was decided: {found:?}"
+    );
 }
 
 #[test]
 fn inputs_that_once_crashed_do_not() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
     let entries = std::fs::read_dir(crashes).unwrap_or_else(|e| panic!("{e}"));
-    let mut kept: Vec<_> = entries.map(|e| e.unwrap_or_else(|e| panic!("{e}")).path()).collect();
+    let mut kept: Vec<_> = entries
+        .map(|e| e.unwrap_or_else(|e| panic!("{e}")).path())
+        .collect();
     kept.sort();
     assert!(!kept.is_empty(), "the folder has a README at least");
     for path in kept {

@@ -1,6 +1,10 @@
 //! Occluder fusion: proofs for triangles behind curved surfaces do not grow with the number of facets.
 
-#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests, which may")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "helpers of tests, which may"
+)]
 
 mod common;
 

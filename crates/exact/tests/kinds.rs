@@ -10,26 +10,49 @@ use common::cells::{set, solve};
 use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 use sightline_certificate::Target;
-use sightline_certificate::checker::{CellClaims, CellRefusal, Kinds as Flags, Triangles, check_cell};
+use sightline_certificate::checker::{
+    CellClaims, CellRefusal, Kinds as Flags, Triangles, check_cell,
+};
 use sightline_exact::{Decided, ExactScene};
 use sightline_scene::kinds::{Kind, Kinds};
 use sightline_scene::{Aabb, Object, Scene, Triangle};
 
 fn exact_scene(triangles: &[Corners], kinds: &[Kind]) -> ExactScene {
-    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
+    let objects = vec![Object {
+        name: "test".into(),
+        first: 0,
+        count: triangles.len() as u32,
+    }];
     let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
     let kinds = Kinds::from_runs(kinds.iter().map(|k| (1, *k, "test")), Vec::new());
-    ExactScene::prepare(&Scene::new("test", all, objects).unwrap().with_kinds("test", kinds).unwrap())
-        .unwrap()
+    ExactScene::prepare(
+        &Scene::new("test", all, objects)
+            .unwrap()
+            .with_kinds("test", kinds)
+            .unwrap(),
+    )
+    .unwrap()
 }
 
 fn decided(triangles: &[Corners], kinds: &[Kind], cell: Aabb, seen: &[u32]) -> Decided {
     solve(&exact_scene(triangles, kinds), cell, seen, &|| false)
 }
 
-fn check(triangles: &[Corners], kinds: &[Kind], cell: Aabb, d: &Decided) -> Result<u64, CellRefusal> {
-    let (blocks, shows): (Vec<bool>, Vec<bool>) = kinds.iter().map(|k| (k.blocks(), k.shows())).unzip();
-    let scene = Triangles::with_kinds(triangles, Flags { blocks: &blocks, shows: &shows });
+fn check(
+    triangles: &[Corners],
+    kinds: &[Kind],
+    cell: Aabb,
+    d: &Decided,
+) -> Result<u64, CellRefusal> {
+    let (blocks, shows): (Vec<bool>, Vec<bool>) =
+        kinds.iter().map(|k| (k.blocks(), k.shows())).unzip();
+    let scene = Triangles::with_kinds(
+        triangles,
+        Flags {
+            blocks: &blocks,
+            shows: &shows,
+        },
+    );
     let visible = set(d);
     let claims = CellClaims {
         cell,
@@ -43,7 +66,8 @@ fn check(triangles: &[Corners], kinds: &[Kind], cell: Aabb, d: &Decided) -> Resu
 
 /// A large square at a distance in front of the cell, as two triangles.
 fn wall(z: f32) -> [Corners; 2] {
-    let [a, b, c, d] = [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, z));
+    let [a, b, c, d] =
+        [[-9.0, -9.0], [9.0, -9.0], [9.0, 9.0], [-9.0, 9.0]].map(|[x, y]| Vec3::new(x, y, z));
     [[a, b, c], [a, c, d]]
 }
 
@@ -67,7 +91,11 @@ fn a_line_passes_panes_and_ends_at_the_first_wall() {
     for (walls, expected) in cases {
         let kinds: Vec<Kind> = walls.iter().flat_map(|k| [*k; 2]).collect();
         let d = decided(&triangles, &kinds, CELL, &[]);
-        assert_eq!((d.visible.as_slice(), d.undecided.len()), (expected, 0), "{walls:?}");
+        assert_eq!(
+            (d.visible.as_slice(), d.undecided.len()),
+            (expected, 0),
+            "{walls:?}"
+        );
         check(&triangles, &kinds, CELL, &d).unwrap();
     }
 }
@@ -98,13 +126,22 @@ fn a_changed_kind_is_refused() {
     check(&triangles, &opaque, CELL, &d).unwrap();
     // The proof names a wall that does not block.
     let glass = [SeeThrough, SeeThrough, Opaque, Opaque];
-    assert!(matches!(check(&triangles, &glass, CELL, &d), Err(CellRefusal::Hidden { .. })));
+    assert!(matches!(
+        check(&triangles, &glass, CELL, &d),
+        Err(CellRefusal::Hidden { .. })
+    ));
     // The set names a wall that is not shown.
     let proxy = [OccluderOnly, OccluderOnly, Opaque, Opaque];
-    assert!(matches!(check(&triangles, &proxy, CELL, &d), Err(CellRefusal::Account(0, _))));
+    assert!(matches!(
+        check(&triangles, &proxy, CELL, &d),
+        Err(CellRefusal::Account(0, _))
+    ));
     // A witness meets a wall that blocks after all.
     let d = decided(&triangles, &glass, CELL, &[]);
-    assert!(matches!(check(&triangles, &opaque, CELL, &d), Err(CellRefusal::Witness(2..=3, _))));
+    assert!(matches!(
+        check(&triangles, &opaque, CELL, &d),
+        Err(CellRefusal::Witness(2..=3, _))
+    ));
     // A see-through triangle belongs to no closed surface, so none can hide it.
     let mut forged = decided(&triangles, &opaque, CELL, &[]);
     forged.certificate.hidden.iter_mut().for_each(|g| {

@@ -20,12 +20,17 @@ fn fence(draft: &mut Draft<'_>, z: f64, middle: f64, width: f64) {
 #[test]
 fn fences_are_seen_through_unless_they_close_each_others_gaps() {
     for place in exact().iter().filter(|p| p.scale >= 1.0) {
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 4.0), place.square([0.0, 0.0, 8.0], 4.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 4.0),
+            place.square([0.0, 0.0, 8.0], 4.0),
+        );
         // Lines from A to B move one sideways for each forward at most. The second fence's pickets are in
         // front of the first's gaps, half a step wide, at such a distance.
         let world = |fences: &[(f64, f64, f64)]| {
             let mut draft = Draft::new(place);
-            fences.iter().for_each(|(z, middle, width)| fence(&mut draft, *z, *middle, *width));
+            fences
+                .iter()
+                .for_each(|(z, middle, width)| fence(&mut draft, *z, *middle, *width));
             draft.done()
         };
         visible(&world(&[(4.0, 0.0, 0.5)]), &a, &b, place);
@@ -33,12 +38,32 @@ fn fences_are_seen_through_unless_they_close_each_others_gaps() {
         hidden(&world(&[(4.0, 0.0, 1.0)]), &a, &b, place);
         // In one plane they abut; one behind the other they leave slanted lines free, unless they overlap.
         hidden(&world(&[(4.0, 0.0, 0.5), (4.0, 0.5, 0.5)]), &a, &b, place);
-        visible(&world(&[(4.0, 0.0, 0.5), (4.0 + 2f64.powi(-10), 0.5, 0.5)]), &a, &b, place);
-        hidden(&world(&[(4.0, 0.0, 0.5), (4.0 + 2f64.powi(-10), 0.5, 0.75)]), &a, &b, place);
-        hidden(&world(&[(4.0, 0.0, 0.5), (4.125, 0.5, 0.75)]), &a, &b, place);
+        visible(
+            &world(&[(4.0, 0.0, 0.5), (4.0 + 2f64.powi(-10), 0.5, 0.5)]),
+            &a,
+            &b,
+            place,
+        );
+        hidden(
+            &world(&[(4.0, 0.0, 0.5), (4.0 + 2f64.powi(-10), 0.5, 0.75)]),
+            &a,
+            &b,
+            place,
+        );
+        hidden(
+            &world(&[(4.0, 0.0, 0.5), (4.125, 0.5, 0.75)]),
+            &a,
+            &b,
+            place,
+        );
         visible(&world(&[(4.0, 0.0, 0.5), (4.25, 0.5, 0.75)]), &a, &b, place);
         // Widened by just what the steepest line from A to B gains.
-        hidden(&world(&[(4.0, 0.0, 0.5), (4.125, 0.5, 0.75), (5.0, 0.0, 0.5)]), &a, &b, place);
+        hidden(
+            &world(&[(4.0, 0.0, 0.5), (4.125, 0.5, 0.75), (5.0, 0.0, 0.5)]),
+            &a,
+            &b,
+            place,
+        );
     }
 }
 
@@ -49,19 +74,31 @@ fn what_is_seen_past_three_edges_is_hidden_when_one_moves() {
     let world = |place: &Place, limit: f64, without: usize| {
         let mut draft = Draft::new(place);
         if without != 1 {
-            draft.quad([[-2.0, -8.0, 1.0], [64.0, -8.0, 1.0], [64.0, 8.0, 1.0], [2.0, 8.0, 1.0]]);
+            draft.quad([
+                [-2.0, -8.0, 1.0],
+                [64.0, -8.0, 1.0],
+                [64.0, 8.0, 1.0],
+                [2.0, 8.0, 1.0],
+            ]);
         }
         if without != 2 {
             draft.rectangle(2.0, [-64.0, limit], [-8.0, 8.0]);
         }
         if without != 3 {
-            draft.quad([[2.0, -8.0, 3.0], [64.0, -8.0, 3.0], [64.0, 8.0, 3.0], [-2.0, 8.0, 3.0]]);
+            draft.quad([
+                [2.0, -8.0, 3.0],
+                [64.0, -8.0, 3.0],
+                [64.0, 8.0, 3.0],
+                [-2.0, 8.0, 3.0],
+            ]);
         }
         draft.done()
     };
     for place in &exact() {
-        let (a, b) =
-            (place.rectangle(0.0, [-4.0, 4.0], [-1.0, 1.0]), place.rectangle(4.0, [-4.0, 4.0], [-1.0, 1.0]));
+        let (a, b) = (
+            place.rectangle(0.0, [-4.0, 4.0], [-1.0, 1.0]),
+            place.rectangle(4.0, [-4.0, 4.0], [-1.0, 1.0]),
+        );
         for (limit, seen) in [
             (0.0, true),
             (0.125 - 2f64.powi(-10), true),
@@ -71,15 +108,21 @@ fn what_is_seen_past_three_edges_is_hidden_when_one_moves() {
             (0.125 + 2f64.powi(-20), false),
             (0.5, false),
         ] {
-            assert_eq!(world(place, limit, 0).mutual(&a, &b), seen, "{limit} {place:?}");
+            assert_eq!(
+                world(place, limit, 0).mutual(&a, &b),
+                seen,
+                "{limit} {place:?}"
+            );
         }
         for without in 1..=3 {
             visible(&world(place, 0.125, without), &a, &b, place);
         }
     }
     for place in &rounded() {
-        let (a, b) =
-            (place.rectangle(0.0, [-4.0, 4.0], [-1.0, 1.0]), place.rectangle(4.0, [-4.0, 4.0], [-1.0, 1.0]));
+        let (a, b) = (
+            place.rectangle(0.0, [-4.0, 4.0], [-1.0, 1.0]),
+            place.rectangle(4.0, [-4.0, 4.0], [-1.0, 1.0]),
+        );
         visible(&world(place, 0.124, 0), &a, &b, place);
         hidden(&world(place, 0.126, 0), &a, &b, place);
     }
@@ -136,7 +179,12 @@ fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
         );
         let divided = |from: f64| {
             let mut draft = Draft::new(place);
-            draft.quad([[from, from, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [from, from, 1.0]]);
+            draft.quad([
+                [from, from, 0.0],
+                [1.0, 1.0, 0.0],
+                [1.0, 1.0, 1.0],
+                [from, from, 1.0],
+            ]);
             draft.done()
         };
         hidden(&divided(0.0), &a, &b, place);
@@ -144,14 +192,26 @@ fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
         visible(&divided(2f64.powi(-20)), &a, &b, place);
         visible(&divided(0.25), &a, &b, place);
         // Crossing squares: four corners between them to close.
-        let upright =
-            place.polygon(&[[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]]);
+        let upright = place.polygon(&[
+            [0.0, -1.0, -1.0],
+            [0.0, 1.0, -1.0],
+            [0.0, 1.0, 1.0],
+            [0.0, -1.0, 1.0],
+        ]);
         let flat = place.square([0.0; 3], 1.0);
         let closed = |without: usize| {
             let mut draft = Draft::new(place);
-            for (k, [x, z]) in [[2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0]].iter().enumerate() {
+            for (k, [x, z]) in [[2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0]]
+                .iter()
+                .enumerate()
+            {
                 if k != without {
-                    draft.quad([[0.0, -2.0, 0.0], [*x, -2.0, *z], [*x, 2.0, *z], [0.0, 2.0, 0.0]]);
+                    draft.quad([
+                        [0.0, -2.0, 0.0],
+                        [*x, -2.0, *z],
+                        [*x, 2.0, *z],
+                        [0.0, 2.0, 0.0],
+                    ]);
                 }
             }
             draft.done()
@@ -166,7 +226,10 @@ fn polygons_that_touch_are_hidden_by_what_divides_the_space_between() {
 #[test]
 fn what_lies_in_the_plane_of_a_polygon_does_not_block() {
     for place in exact().iter().chain(&ordered()) {
-        let (a, b) = (place.square([0.0; 3], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0; 3], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let mut draft = Draft::new(place);
         draft.rectangle(0.0, [-4.0, 4.0], [-4.0, 4.0]);
         draft.rectangle(0.0, [-1.0, 1.0], [-1.0, 1.0]);
@@ -177,7 +240,10 @@ fn what_lies_in_the_plane_of_a_polygon_does_not_block() {
         let mut draft = Draft::new(place);
         draft.rectangle(1.0, [-4.0, 4.0], [-4.0, 4.0]);
         let world = draft.done();
-        let (near, far) = (place.square([0.0; 3], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (near, far) = (
+            place.square([0.0; 3], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let face = place.square([0.25, 0.25, 1.0], 0.5);
         visible(&world, &face, &near, place);
         visible(&world, &face, &far, place);
@@ -203,7 +269,12 @@ fn a_face_that_reaches_over_a_walls_edge_sees_past_it() {
         let mut draft = Draft::new(place);
         // A corner of two walls; the face of a cell lies in the plane of one and ends at the other.
         draft.rectangle(0.0, [-4.0, 4.0], [-4.0, 4.0]);
-        draft.quad([[1.0, -4.0, -4.0], [1.0, 4.0, -4.0], [1.0, 4.0, 4.0], [1.0, -4.0, 4.0]]);
+        draft.quad([
+            [1.0, -4.0, -4.0],
+            [1.0, 4.0, -4.0],
+            [1.0, 4.0, 4.0],
+            [1.0, -4.0, 4.0],
+        ]);
         let world = draft.done();
         let face = place.rectangle(0.0, [-1.0, 1.0], [-1.0, 1.0]);
         let behind = |z: f64| place.polygon(&[[2.0, -1.0, z], [2.0, 1.0, z], [3.0, 0.0, 2.0 * z]]);
@@ -213,25 +284,44 @@ fn a_face_that_reaches_over_a_walls_edge_sees_past_it() {
         visible(&world, &across, &behind(1.0), place);
         visible(&world, &across, &behind(-1.0), place);
         // The wall itself is seen from the face that ends at it.
-        visible(&world, &face, &world.triangles[2].map(|p| p.as_dvec3()), place);
+        visible(
+            &world,
+            &face,
+            &world.triangles[2].map(|p| p.as_dvec3()),
+            place,
+        );
     }
 }
 
 #[test]
 fn duplicates_and_triangles_without_area_change_nothing() {
     for place in exact().iter().chain(&ordered()) {
-        let (a, b) = (place.square([0.0; 3], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0; 3], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let lo = place.local(0.25);
         let hi = lo.next_up();
         for (open, side) in [(false, lo), (true, hi)] {
             let mut draft = Draft::new(place);
-            draft.triangles = slit(&Place { turn: permutations()[0], ..place.clone() }, lo, side).triangles;
+            draft.triangles = slit(
+                &Place {
+                    turn: permutations()[0],
+                    ..place.clone()
+                },
+                lo,
+                side,
+            )
+            .triangles;
             let once = draft.triangles.clone();
             // Again, reversed, and begun at another corner, before and after.
+            draft.triangles.extend(
+                once.iter()
+                    .flat_map(|[a, b, c]| [[*a, *b, *c], [*c, *b, *a], [*b, *c, *a]]),
+            );
             draft
                 .triangles
-                .extend(once.iter().flat_map(|[a, b, c]| [[*a, *b, *c], [*c, *b, *a], [*b, *c, *a]]));
-            draft.triangles.splice(0..0, once.iter().map(|[a, b, c]| [*b, *a, *c]));
+                .splice(0..0, once.iter().map(|[a, b, c]| [*b, *a, *c]));
             // Points and segments in the slit and around it, some on the walls' edges.
             let p = |x: f32, y: f64| Vec3::new(x, place.local(y), place.local(1.0));
             draft.triangles.extend([
@@ -257,20 +347,30 @@ fn duplicates_and_triangles_without_area_change_nothing() {
 #[test]
 fn what_touches_the_lines_from_outside_hides_nothing() {
     for place in exact().iter().chain(&ordered()) {
-        let (a, b) = (place.square([0.0; 3], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0; 3], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let mut draft = Draft::new(place);
         // Walls around the volume, some in its faces' planes, some that touch a face's middle or an edge.
         draft.rectangle(1.0, [1.0, 4.0], [-4.0, 4.0]);
         draft.rectangle(1.0, [-4.0, -1.0], [-4.0, 4.0]);
-        draft.quad([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 2.0], [-1.0, 1.0, 2.0]]);
+        draft.quad([
+            [-1.0, 1.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [1.0, 1.0, 2.0],
+            [-1.0, 1.0, 2.0],
+        ]);
         draft.triangle([[0.0, -1.0, 1.0], [-1.0, -4.0, 1.0], [1.0, -4.0, 1.0]]);
         draft.triangle([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [4.0, 4.0, 1.0]]);
         visible(&draft.done(), &a, &b, place);
     }
     for place in &exact() {
         // The two halves of a wall that abut along the edge of the volume: either alone hides a half.
-        let (a, b) =
-            (place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]), place.rectangle(2.0, [-1.0, 0.0], [-1.0, 1.0]));
+        let (a, b) = (
+            place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]),
+            place.rectangle(2.0, [-1.0, 0.0], [-1.0, 1.0]),
+        );
         let mut right = Draft::new(place);
         right.rectangle(1.0, [0.0, 4.0], [-4.0, 4.0]);
         visible(&right.done(), &a, &b, place);
@@ -292,7 +392,11 @@ fn a_list_of_parts_is_seen_when_one_of_them_is() {
         let mut draft = Draft::new(place);
         draft.window(1.0, 8.0, [0.25, 0.5], [0.25, 0.5]);
         let world = draft.done();
-        let part = |x: f64, z: f64| Polygon::checked(&place.square([x, 0.375, z], 0.0625)).unwrap().remove(0);
+        let part = |x: f64, z: f64| {
+            Polygon::checked(&place.square([x, 0.375, z], 0.0625))
+                .unwrap()
+                .remove(0)
+        };
         let seen = [part(0.375, 0.0), part(0.375, 2.0)];
         let unseen = [part(-0.375, 0.0), part(-0.375, 2.0), part(-3.0, 2.0)];
         let ask = |a: &[&Polygon], b: &[&Polygon]| {
@@ -301,7 +405,10 @@ fn a_list_of_parts_is_seen_when_one_of_them_is() {
         };
         assert!(ask(&[&seen[0]], &[&seen[1]]));
         assert!(!ask(&[&unseen[0]], &[&unseen[1]]));
-        assert!(ask(&[&unseen[0], &seen[0]], &[&unseen[1], &unseen[2], &seen[1]]));
+        assert!(ask(
+            &[&unseen[0], &seen[0]],
+            &[&unseen[1], &unseen[2], &seen[1]]
+        ));
         assert!(!ask(&[&unseen[0]], &[&unseen[1], &unseen[2]]));
     }
 }

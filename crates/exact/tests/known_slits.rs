@@ -10,7 +10,10 @@ use common::{Draft, Place, World, exact, ordered, rounded};
 #[test]
 fn a_slit_however_narrow_is_seen_through_and_a_closed_one_is_not() {
     for place in exact().iter().chain(&ordered()) {
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let lo = place.local(0.3);
         for width in [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 0.0] {
             // Never less than a unit in the last place.
@@ -26,10 +29,18 @@ fn a_slit_however_narrow_is_seen_through_and_a_closed_one_is_not() {
 #[test]
 fn a_slit_turned_any_way_is_seen_through_unless_it_is_closed() {
     for place in &rounded() {
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let lo = place.local(0.3);
         for width in [1e-2, 1e-3, 1e-4] {
-            visible(&slit(place, lo, place.local(0.3 + 8.0 * width)), &a, &b, place);
+            visible(
+                &slit(place, lo, place.local(0.3 + 8.0 * width)),
+                &a,
+                &b,
+                place,
+            );
         }
         hidden(&slit(place, lo, lo), &a, &b, place);
         hidden(&slit(place, lo, place.local(0.2)), &a, &b, place);
@@ -40,8 +51,10 @@ fn a_slit_turned_any_way_is_seen_through_unless_it_is_closed() {
 fn a_slit_is_seen_through_at_a_slant() {
     // From −0.9…−0.5 through 0.3 at half way to 1.1…1.5.
     for place in exact().iter().chain(&rounded()) {
-        let (a, b) =
-            (place.rectangle(0.0, [-0.9, -0.5], [-1.0, 1.0]), place.rectangle(2.0, [1.1, 1.5], [-1.0, 1.0]));
+        let (a, b) = (
+            place.rectangle(0.0, [-0.9, -0.5], [-1.0, 1.0]),
+            place.rectangle(2.0, [1.1, 1.5], [-1.0, 1.0]),
+        );
         let beside = place.rectangle(2.0, [1.6, 2.0], [-1.0, 1.0]);
         let lo = place.local(0.3);
         for width in [1e-2, 1e-3] {
@@ -55,7 +68,13 @@ fn a_slit_is_seen_through_at_a_slant() {
 #[test]
 fn two_slits_in_line_are_seen_through_and_two_that_are_offset_are_not() {
     for place in exact().iter().chain(&ordered()).chain(&rounded()) {
-        for (offset, seen) in [(0.0, true), (0.02, true), (-0.02, true), (0.2, false), (-0.2, false)] {
+        for (offset, seen) in [
+            (0.0, true),
+            (0.02, true),
+            (-0.02, true),
+            (0.2, false),
+            (-0.2, false),
+        ] {
             for width in [1e-2, 1e-3] {
                 // From (0, 1) and (offset, 2) the line comes to −offset at 0 and twice the offset at 3.
                 let mut draft = Draft::new(place);
@@ -83,7 +102,13 @@ fn where_one_line_alone_would_pass_nothing_is_seen() {
     for place in exact().iter().filter(|p| p.scale == 1.0) {
         let a = place.rectangle(0.0, [-1.0, 0.0], [-1.0, 1.0]);
         let b = place.rectangle(4.0, [-1.0, 1.0], [-1.0, 1.0]);
-        for (limit, seen) in [(0.0, false), (-1e-30, false), (1e-30, true), (1e-7, true), (0.5, true)] {
+        for (limit, seen) in [
+            (0.0, false),
+            (-1e-30, false),
+            (1e-30, true),
+            (1e-7, true),
+            (0.5, true),
+        ] {
             let mut draft = Draft::new(place);
             draft.rectangle(1.0, [-8.0, 0.0], [-8.0, 8.0]);
             draft.rectangle(2.0, [limit, 8.0], [-8.0, 8.0]);
@@ -106,7 +131,11 @@ fn wall_around(
     let mut piece = |s: [f64; 2], t: [f64; 2]| {
         draft.quad([(0, 0), (1, 0), (1, 1), (0, 1)].map(|(i, j)| {
             let (s, t) = (s[i], t[j]);
-            [centre[0] + s * along[0] + t * along[1], centre[1] + s * along[1] - t * along[0], z]
+            [
+                centre[0] + s * along[0] + t * along[1],
+                centre[1] + s * along[1] - t * along[0],
+                z,
+            ]
         }));
     };
     piece([-reach, reach], [half_width, reach]);
@@ -123,7 +152,14 @@ fn three_slits(place: &Place, half_width: f64, aside: f64) -> World {
     let mut draft = Draft::new(place);
     wall_around(&mut draft, 0.0, [0.0, 0.0], [1.0, 0.0], 1.5, half_width);
     wall_around(&mut draft, 1.0, [0.0, 0.0], [0.0, 1.0], 1.5, half_width);
-    wall_around(&mut draft, 2.0, [aside, -aside], [1.0, 1.0], 2.0, half_width);
+    wall_around(
+        &mut draft,
+        2.0,
+        [aside, -aside],
+        [1.0, 1.0],
+        2.0,
+        half_width,
+    );
     draft.done()
 }
 
@@ -131,11 +167,17 @@ fn three_slits(place: &Place, half_width: f64, aside: f64) -> World {
 fn three_skew_slits_let_a_ruled_family_through() {
     let wide = [2f64.powi(-6), 2f64.powi(-10)];
     let narrow = [2f64.powi(-15), 2f64.powi(-20)];
-    for (places, widths) in [(exact(), [wide, narrow].concat()), (rounded(), wide.to_vec())] {
+    for (places, widths) in [
+        (exact(), [wide, narrow].concat()),
+        (rounded(), wide.to_vec()),
+    ] {
         for place in &places {
             let on = place.square([-2.0, -0.5, -1.0], 0.125);
             let off = place.square([-2.0, 0.5, -1.0], 0.125);
-            let (b, all) = (place.square([2.0, 1.5, 3.0], 0.125), place.square([0.0, 0.0, 3.0], 4.0));
+            let (b, all) = (
+                place.square([2.0, 1.5, 3.0], 0.125),
+                place.square([0.0, 0.0, 3.0], 4.0),
+            );
             for width in &widths {
                 let world = three_slits(place, *width, 0.0);
                 visible(&world, &on, &b, place);
@@ -181,7 +223,10 @@ fn an_area_is_seen_through_four_and_five_portals_in_line() {
 #[test]
 fn a_window_one_float_wide_is_seen_through() {
     for place in exact().iter().chain(&ordered()) {
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         let (x, y) = (place.local(0.3), place.local(-0.7));
         let world = |x: [f32; 2], y: [f32; 2]| {
             let mut draft = Draft::new(place);

@@ -20,12 +20,22 @@ fn the_edge_two_triangles_share_is_no_crack() {
         let world = draft.done();
         // Through it, with the edge seen as a point (from the side), as a line, and from a slit of its own
         // shape.
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         hidden(&world, &a, &b, place);
-        let thin =
-            |z: f64| place.polygon(&[[-1.0, -1.0, z], [1.0, 1.0, z], [0.9, 0.91, z], [-0.9, -0.89, z]]);
+        let thin = |z: f64| {
+            place.polygon(&[
+                [-1.0, -1.0, z],
+                [1.0, 1.0, z],
+                [0.9, 0.91, z],
+                [-0.9, -0.89, z],
+            ])
+        };
         hidden(&world, &thin(0.0), &thin(2.0), place);
-        let tall = |z: [f64; 2]| place.polygon(&[[-1.0, -1.0, z[0]], [1.0, 1.0, z[0]], [0.0, 0.0, z[1]]]);
+        let tall =
+            |z: [f64; 2]| place.polygon(&[[-1.0, -1.0, z[0]], [1.0, 1.0, z[0]], [0.0, 0.0, z[1]]]);
         hidden(&world, &tall([0.5, 0.25]), &tall([1.5, 1.75]), place);
         hidden(&world, &tall([0.25, 0.5]), &thin(2.0), place);
     }
@@ -54,7 +64,12 @@ fn a_roof_is_closed_along_its_ridge() {
     for place in exact().iter().chain(&rounded()) {
         for bend in [-1.0, -0.001, 0.001, 1.0] {
             let mut draft = Draft::new(place);
-            draft.quad([[0.0, -4.0, 4.0], [0.0, 4.0, 4.0], [4.0, 4.0, 4.0 + bend], [4.0, -4.0, 4.0 + bend]]);
+            draft.quad([
+                [0.0, -4.0, 4.0],
+                [0.0, 4.0, 4.0],
+                [4.0, 4.0, 4.0 + bend],
+                [4.0, -4.0, 4.0 + bend],
+            ]);
             draft.quad([
                 [0.0, -4.0, 4.0],
                 [-4.0, -4.0, 4.0 + bend],
@@ -62,11 +77,15 @@ fn a_roof_is_closed_along_its_ridge() {
                 [0.0, 4.0, 4.0],
             ]);
             let world = draft.done();
-            let (a, b) = (place.square([0.0, 0.0, 2.0], 1.0), place.square([0.0, 0.0, 6.0], 1.0));
+            let (a, b) = (
+                place.square([0.0, 0.0, 2.0], 1.0),
+                place.square([0.0, 0.0, 6.0], 1.0),
+            );
             hidden(&world, &a, &b, place);
             // In the plane of symmetry, through the ridge.
-            let upright =
-                |z: [f64; 2]| place.polygon(&[[0.0, -1.0, z[0]], [0.0, 1.0, z[0]], [0.0, 0.0, z[1]]]);
+            let upright = |z: [f64; 2]| {
+                place.polygon(&[[0.0, -1.0, z[0]], [0.0, 1.0, z[0]], [0.0, 0.0, z[1]]])
+            };
             hidden(&world, &a, &upright([6.0, 7.0]), place);
             hidden(&world, &upright([2.0, 1.0]), &b, place);
         }
@@ -77,15 +96,19 @@ fn a_roof_is_closed_along_its_ridge() {
 fn corners_on_edges_leave_no_cracks() {
     for place in exact().iter().chain(&ordered()) {
         let mut draft = Draft::new(place);
-        for (x, rows) in
-            [([-4.0, 0.25], vec![-4.0, 0.0, 4.0]), ([0.25, 4.0], vec![-4.0, -0.3, 0.125, 0.3, 4.0])]
-        {
+        for (x, rows) in [
+            ([-4.0, 0.25], vec![-4.0, 0.0, 4.0]),
+            ([0.25, 4.0], vec![-4.0, -0.3, 0.125, 0.3, 4.0]),
+        ] {
             for row in rows.windows(2) {
                 draft.rectangle(1.0, x, [row[0], row[1]]);
             }
         }
         let world = draft.done();
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 1.0), place.square([0.0, 0.0, 2.0], 1.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 1.0),
+            place.square([0.0, 0.0, 2.0], 1.0),
+        );
         hidden(&world, &a, &b, place);
     }
     for place in &exact() {
@@ -100,7 +123,10 @@ fn corners_on_edges_leave_no_cracks() {
             }
             draft.done()
         };
-        let (a, b) = (place.square([0.0, 0.0, 0.0], 2.0), place.square([0.0, 0.0, 2.0], 2.0));
+        let (a, b) = (
+            place.square([0.0, 0.0, 0.0], 2.0),
+            place.square([0.0, 0.0, 2.0], 2.0),
+        );
         hidden(&wall([0.5, 0.5]), &a, &b, place);
         hidden(&wall([0.25, 0.25]), &a, &b, place);
         // A unit in the last place beyond the edge, overlapping, and short of it, leaving a crack.
@@ -151,18 +177,32 @@ fn of_a_ball_the_faces_turned_towards_one_are_seen() {
         let mirrored = place.turn.determinant() < 0.0;
         let inside = place.polygon(&somewhere(&mut random, DVec3::ZERO, 0.7));
         let away = random.direction() * 2.2;
-        let outside: [Vec3; 3] = somewhere(&mut random, away, 0.9).map(|p| place.turned(place.point(p)));
+        let outside: [Vec3; 3] =
+            somewhere(&mut random, away, 0.9).map(|p| place.turned(place.point(p)));
         let outside = outside.map(|p| p.as_dvec3());
         let mut towards = 0;
         for face in &world.triangles {
             let corners = face.map(|p| p.as_dvec3());
             visible(&world, &inside, &corners, place);
-            let [a, b, c] = if mirrored { [face[0], face[2], face[1]] } else { *face };
-            let seen = outside.iter().any(|p| orient3d_sign(a, b, c, p.as_vec3()) == Ordering::Greater);
+            let [a, b, c] = if mirrored {
+                [face[0], face[2], face[1]]
+            } else {
+                *face
+            };
+            let seen = outside
+                .iter()
+                .any(|p| orient3d_sign(a, b, c, p.as_vec3()) == Ordering::Greater);
             towards += usize::from(seen);
-            assert_eq!(world.mutual(&outside, &corners), seen, "{place:?} {face:?} {outside:?}");
+            assert_eq!(
+                world.mutual(&outside, &corners),
+                seen,
+                "{place:?} {face:?} {outside:?}"
+            );
         }
-        assert!((1..world.triangles.len()).contains(&towards), "{towards} are turned towards the polygon");
+        assert!(
+            (1..world.triangles.len()).contains(&towards),
+            "{towards} are turned towards the polygon"
+        );
     }
 }
 

@@ -9,7 +9,9 @@ use std::cell::Cell;
 
 use common::permutations;
 use glam::{DVec3, Vec3};
-use sightline_exact::{Cost, Limits, Occluders, Polygon, Reason, Verdict, sightlines, sightlines_until};
+use sightline_exact::{
+    Cost, Limits, Occluders, Polygon, Reason, Verdict, sightlines, sightlines_until,
+};
 use sightline_scene::{Object, Scene, Triangle};
 
 /// Two squares with two fences between that close each other's gaps, in one of the ways the axes can be
@@ -22,22 +24,36 @@ fn fences(turn: usize) -> (Occluders, [Vec<Polygon>; 2]) {
         for k in -9..=9 {
             let x = f64::from(k) + middle;
             let [lo, hi] = [x - width / 2.0, x + width / 2.0];
-            let [a, b, c, d] = [[lo, -16.0, z], [hi, -16.0, z], [hi, 16.0, z], [lo, 16.0, z]].map(place);
+            let [a, b, c, d] =
+                [[lo, -16.0, z], [hi, -16.0, z], [hi, 16.0, z], [lo, 16.0, z]].map(place);
             triangles.extend([[a, b, c], [a, c, d]]);
         }
     }
-    let objects = vec![Object { name: "fences".into(), first: 0, count: triangles.len() as u32 }];
+    let objects = vec![Object {
+        name: "fences".into(),
+        first: 0,
+        count: triangles.len() as u32,
+    }];
     let all = triangles.into_iter().map(|v| Triangle { v }).collect();
     let scene = Occluders::new(&Scene::new("fences", all, objects).unwrap()).unwrap();
     let square = |z: f64| {
-        let corners = [[-4.0, -4.0, z], [4.0, -4.0, z], [4.0, 4.0, z], [-4.0, 4.0, z]];
+        let corners = [
+            [-4.0, -4.0, z],
+            [4.0, -4.0, z],
+            [4.0, 4.0, z],
+            [-4.0, 4.0, z],
+        ];
         Polygon::checked(&corners.map(|p| place(p).as_dvec3())).unwrap()
     };
     (scene, [square(0.0), square(8.0)])
 }
 
 fn reason(found: &(Verdict, Cost)) -> Option<Reason> {
-    if let Verdict::Undecided(reason) = &found.0 { Some(*reason) } else { None }
+    if let Verdict::Undecided(reason) = &found.0 {
+        Some(*reason)
+    } else {
+        None
+    }
 }
 
 #[test]
@@ -46,21 +62,40 @@ fn every_limit_ends_a_query_with_its_own_reason() {
         let (scene, [a, b]) = fences(turn);
         let whole = sightlines(&scene, &a, &b, &Limits::default());
         assert!(matches!(whole.0, Verdict::Hidden(_)), "{:?}", whole.0);
-        let Cost { regions, vectors, .. } = whole.1;
+        let Cost {
+            regions, vectors, ..
+        } = whole.1;
         assert!(regions > 10, "{regions} regions tell little");
         // What it takes is enough, and less is not.
         let with = |regions: u64, vectors: u64| {
             let (regions, vectors) = (regions as u32, vectors as u32);
-            sightlines(&scene, &a, &b, &Limits { regions, vectors, ..Limits::default() })
+            sightlines(
+                &scene,
+                &a,
+                &b,
+                &Limits {
+                    regions,
+                    vectors,
+                    ..Limits::default()
+                },
+            )
         };
         assert_eq!(with(regions, vectors).1, whole.1);
         for part in [0, 1, regions / 2, regions - 1] {
             let found = with(part, vectors);
-            assert_eq!(reason(&found), Some(Reason::Regions), "{part} of {regions} regions");
+            assert_eq!(
+                reason(&found),
+                Some(Reason::Regions),
+                "{part} of {regions} regions"
+            );
             assert_eq!(found.1.regions, part + 1);
         }
         for part in [0, vectors / 2, vectors - 1] {
-            assert_eq!(reason(&with(regions, part)), Some(Reason::Memory), "{part} of {vectors} vectors");
+            assert_eq!(
+                reason(&with(regions, part)),
+                Some(Reason::Memory),
+                "{part} of {vectors} vectors"
+            );
         }
     }
 }
@@ -75,7 +110,11 @@ fn a_query_that_is_told_to_stop_does_so_before_the_next_region() {
         let stop = || asked.replace(asked.get() + 1) >= after;
         let found = sightlines_until(&scene, (&a, &b), &Limits::default(), &stop);
         if after < regions {
-            assert_eq!(reason(&found), Some(Reason::Stopped), "told to stop at {after} of {regions}");
+            assert_eq!(
+                reason(&found),
+                Some(Reason::Stopped),
+                "told to stop at {after} of {regions}"
+            );
             assert_eq!((found.1.regions, asked.get()), (after + 1, after + 1));
         } else {
             assert_eq!(found.1, whole.1);

@@ -27,7 +27,11 @@ impl Case {
     fn mapped(&self, f: impl Fn(DVec3) -> DVec3) -> Self {
         let points = |p: &[DVec3]| p.iter().map(|p| f(*p)).collect();
         Self {
-            triangles: self.triangles.iter().map(|t| t.map(|p| f(p.as_dvec3()).as_vec3())).collect(),
+            triangles: self
+                .triangles
+                .iter()
+                .map(|t| t.map(|p| f(p.as_dvec3()).as_vec3()))
+                .collect(),
             a: points(&self.a),
             b: points(&self.b),
         }
@@ -52,8 +56,12 @@ fn grid_point(reach: i8) -> impl Strategy<Value = Vec3> {
 /// Triangles, some of them without area, and now and then a rectangle across the scene.
 fn grid_triangles(reach: i8) -> impl Strategy<Value = Vec<Corners>> {
     let triangle = prop::array::uniform3(grid_point(reach)).prop_map(|t| vec![t]);
-    let rectangle = (0..3usize, -reach..=reach, prop::array::uniform4(-reach..=reach)).prop_map(
-        move |(axis, at, [x0, x1, y0, y1])| {
+    let rectangle = (
+        0..3usize,
+        -reach..=reach,
+        prop::array::uniform4(-reach..=reach),
+    )
+        .prop_map(move |(axis, at, [x0, x1, y0, y1])| {
             let corner = |x: i8, y: i8| {
                 let mut p = [0.0; 3];
                 p[axis] = 2.0 * f32::from(at);
@@ -61,31 +69,47 @@ fn grid_triangles(reach: i8) -> impl Strategy<Value = Vec<Corners>> {
                 p[(axis + 2) % 3] = 2.0 * f32::from(y);
                 Vec3::from(p)
             };
-            let (x1, y1) = (if x1 == x0 { reach + 1 } else { x1 }, if y1 == y0 { reach + 1 } else { y1 });
-            let [a, b, c, d] = [corner(x0, y0), corner(x1, y0), corner(x1, y1), corner(x0, y1)];
+            let (x1, y1) = (
+                if x1 == x0 { reach + 1 } else { x1 },
+                if y1 == y0 { reach + 1 } else { y1 },
+            );
+            let [a, b, c, d] = [
+                corner(x0, y0),
+                corner(x1, y0),
+                corner(x1, y1),
+                corner(x0, y1),
+            ];
             vec![[a, b, c], [a, c, d]]
-        },
-    );
-    prop::collection::vec(prop_oneof![3 => triangle, 1 => rectangle], 5..24).prop_map(|t| t.concat())
+        });
+    prop::collection::vec(prop_oneof![3 => triangle, 1 => rectangle], 5..24)
+        .prop_map(|t| t.concat())
 }
 
 /// A triangle, or the parallelogram of which it is a half, in which case it is convex and flat exactly.
 fn grid_polygon(reach: i8) -> impl Strategy<Value = Vec<DVec3>> {
-    (prop::array::uniform3(grid_point(reach)), any::<bool>()).prop_filter_map("no area", |(t, whole)| {
-        let [a, b, c] = t.map(|p| p.as_dvec3());
-        let p = if whole { vec![a, b, b + c - a, c] } else { vec![a, b, c] };
-        has_area(&p).then_some(p)
-    })
+    (prop::array::uniform3(grid_point(reach)), any::<bool>()).prop_filter_map(
+        "no area",
+        |(t, whole)| {
+            let [a, b, c] = t.map(|p| p.as_dvec3());
+            let p = if whole {
+                vec![a, b, b + c - a, c]
+            } else {
+                vec![a, b, c]
+            };
+            has_area(&p).then_some(p)
+        },
+    )
 }
 
 /// Small grids, on which almost everything touches, and larger ones.
 fn grid_case() -> impl Strategy<Value = Case> {
     select(vec![1i8, 2, 3, 5]).prop_flat_map(|reach| {
-        (grid_triangles(reach), grid_polygon(reach), grid_polygon(reach)).prop_map(|(triangles, a, b)| Case {
-            triangles,
-            a,
-            b,
-        })
+        (
+            grid_triangles(reach),
+            grid_polygon(reach),
+            grid_polygon(reach),
+        )
+            .prop_map(|(triangles, a, b)| Case { triangles, a, b })
     })
 }
 
@@ -97,7 +121,11 @@ fn float_case() -> impl Strategy<Value = Case> {
             has_area(&p).then_some(p)
         })
     };
-    (prop::collection::vec(prop::array::uniform3(point()), 5..30), polygon(), polygon())
+    (
+        prop::collection::vec(prop::array::uniform3(point()), 5..30),
+        polygon(),
+        polygon(),
+    )
         .prop_map(|(triangles, a, b)| Case { triangles, a, b })
 }
 
@@ -106,7 +134,11 @@ fn any_case() -> impl Strategy<Value = Case> {
 }
 
 fn cases(count: u32) -> ProptestConfig {
-    ProptestConfig { failure_persistence: None, max_shrink_iters: 2000, ..ProptestConfig::with_cases(count) }
+    ProptestConfig {
+        failure_persistence: None,
+        max_shrink_iters: 2000,
+        ..ProptestConfig::with_cases(count)
+    }
 }
 
 proptest! {

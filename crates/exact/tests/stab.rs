@@ -22,7 +22,10 @@ fn polygon(corners: &[[i64; 3]]) -> Polygon {
 
 /// The same with corners in units.
 fn whole(corners: &[[f64; 3]]) -> Polygon {
-    let scaled: Vec<[i64; 3]> = corners.iter().map(|c| c.map(|x| (x * UNIT as f64) as i64)).collect();
+    let scaled: Vec<[i64; 3]> = corners
+        .iter()
+        .map(|c| c.map(|x| (x * UNIT as f64) as i64))
+        .collect();
     polygon(&scaled)
 }
 
@@ -44,14 +47,18 @@ fn stabs(portals: &[Polygon], [p, q]: [&Source; 2]) -> bool {
     for portal in portals {
         let points = portal.points();
         let n = points.len();
-        let turns: Vec<Ordering> =
-            (0..n).map(|k| predicates::orient([p, q, &points[k], &points[(k + 1) % n]])).collect();
+        let turns: Vec<Ordering> = (0..n)
+            .map(|k| predicates::orient([p, q, &points[k], &points[(k + 1) % n]]))
+            .collect();
         if turns[0] == Ordering::Equal || turns.iter().any(|t| *t != turns[0]) {
             return false;
         }
         // The line crosses the plane at a + t (b − a), t = n / d.
         let plane = portal.plane();
-        let (at_a, at_b) = (predicates::height(&plane, &a) * &b[3], predicates::height(&plane, &b) * &a[3]);
+        let (at_a, at_b) = (
+            predicates::height(&plane, &a) * &b[3],
+            predicates::height(&plane, &b) * &a[3],
+        );
         let (mut n, mut d) = (at_a.clone(), at_a - at_b);
         if predicates::sign(&d) == Ordering::Less {
             (n, d) = (-n, -d);
@@ -73,7 +80,10 @@ fn stabs(portals: &[Polygon], [p, q]: [&Source; 2]) -> bool {
 fn state(portals: &[Polygon]) -> bool {
     match stab(portals, &Limits::default(), &|| false).0 {
         Stabbed::Line(line) => {
-            assert!(stabs(portals, [&line[0], &line[1]]), "the line is none: {line:?} in {portals:?}");
+            assert!(
+                stabs(portals, [&line[0], &line[1]]),
+                "the line is none: {line:?} in {portals:?}"
+            );
             true
         }
         Stabbed::Blocked => false,
@@ -85,17 +95,30 @@ fn state(portals: &[Polygon]) -> bool {
 fn three_squares_can_be_stabbed_until_the_last_is_moved_by_four() {
     let square = |z: f64, x: i64| {
         let (x, z, one) = (x, (z * UNIT as f64) as i64, UNIT);
-        polygon(&[[x - one, -one, z], [x + one, -one, z], [x + one, one, z], [x - one, one, z]])
+        polygon(&[
+            [x - one, -one, z],
+            [x + one, -one, z],
+            [x + one, one, z],
+            [x - one, one, z],
+        ])
     };
-    for (moved, expected) in
-        [(0, true), (3 * UNIT, true), (4 * UNIT - 1, true), (4 * UNIT, false), (4 * UNIT + 1, false)]
-    {
+    for (moved, expected) in [
+        (0, true),
+        (3 * UNIT, true),
+        (4 * UNIT - 1, true),
+        (4 * UNIT, false),
+        (4 * UNIT + 1, false),
+    ] {
         let portals = [square(0.0, 0), square(1.0, 0), square(2.0, moved)];
         assert_eq!(state(&portals), expected, "{moved}");
         let back: Vec<Polygon> = portals.iter().rev().cloned().collect();
         assert_eq!(state(&back), expected, "backwards");
         // In another order no line passes them.
-        assert!(!state(&[portals[1].clone(), portals[0].clone(), portals[2].clone()]));
+        assert!(!state(&[
+            portals[1].clone(),
+            portals[0].clone(),
+            portals[2].clone()
+        ]));
     }
 }
 
@@ -103,9 +126,15 @@ fn three_squares_can_be_stabbed_until_the_last_is_moved_by_four() {
 fn a_single_polygon_and_two_can_be_stabbed() {
     let one = rectangle(2, 0.0, [0.0, 1.0], [0.0, 1.0]);
     assert!(state(std::slice::from_ref(&one)));
-    assert!(state(&[one.clone(), rectangle(0, 2.0, [3.0, 4.0], [-9.0, -8.0])]));
+    assert!(state(&[
+        one.clone(),
+        rectangle(0, 2.0, [3.0, 4.0], [-9.0, -8.0])
+    ]));
     // In one plane.
-    assert!(!state(&[one.clone(), rectangle(2, 0.0, [2.0, 3.0], [0.0, 1.0])]));
+    assert!(!state(&[
+        one.clone(),
+        rectangle(2, 0.0, [2.0, 3.0], [0.0, 1.0])
+    ]));
     assert!(!state(&[one.clone(), one]));
 }
 
@@ -154,14 +183,21 @@ fn slits_along_a_regulus_light_two_places() {
     };
     let seen = |x: f64| state(&[slit(0), slit(1), slit(2), last.clone(), target(x)]);
     let half = 0.5f64.sqrt();
-    assert_eq!([seen(4.0 - half), seen(4.0), seen(4.0 + half)], [true, false, true]);
+    assert_eq!(
+        [seen(4.0 - half), seen(4.0), seen(4.0 + half)],
+        [true, false, true]
+    );
 }
 
 #[test]
 fn doors_at_either_side_hide_the_floor_of_the_fourth_room() {
     // Rooms at x = 0..5, doors z 0..1 and 2..3 by turns.
     let door = |k: usize| {
-        let z = if k.is_multiple_of(2) { [0.0, 1.0] } else { [2.0, 3.0] };
+        let z = if k.is_multiple_of(2) {
+            [0.0, 1.0]
+        } else {
+            [2.0, 3.0]
+        };
         rectangle(0, k as f64 + 1.0, [0.0, 1.0], z)
     };
     let floor = |from: f64, to: f64| rectangle(2, 0.0, [from, to], [0.0, 1.0]);
@@ -200,14 +236,22 @@ proptest! {
 
 fn polygons() -> impl Strategy<Value = Vec<Polygon>> {
     // Triangles and parallelograms on a grid, one after another along x.
-    let one = (prop::array::uniform3(prop::array::uniform3(-3i64..4)), any::<bool>());
+    let one = (
+        prop::array::uniform3(prop::array::uniform3(-3i64..4)),
+        any::<bool>(),
+    );
     prop::collection::vec(one, 2..6).prop_map(|all| {
         all.into_iter()
             .enumerate()
             .filter_map(|(k, (v, four))| {
-                let [a, b, c] = v.map(|p| [p[0] + 4 * k as i64, 2 * p[1], 2 * p[2]].map(|x| x * UNIT));
+                let [a, b, c] =
+                    v.map(|p| [p[0] + 4 * k as i64, 2 * p[1], 2 * p[2]].map(|x| x * UNIT));
                 let d = [0, 1, 2].map(|i| a[i] + c[i] - b[i]);
-                let corners = if four { vec![a, b, c, d] } else { vec![a, b, c] };
+                let corners = if four {
+                    vec![a, b, c, d]
+                } else {
+                    vec![a, b, c]
+                };
                 let exact = |c: &[i64; 3]| {
                     let [x, y, z] = c.map(IBig::from);
                     Source::Exact(Box::new([x, y, z, IBig::from(UNIT)]))

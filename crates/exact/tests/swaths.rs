@@ -14,26 +14,37 @@ fn polygon(corners: &[DVec3]) -> Polygon {
 
 /// A regular polygon with rounded corners about an axis, exactly flat: a triangle.
 fn triangle(centre: DVec3, size: f64, turn: f64, tilt: f64) -> Polygon {
-    let turn_by =
-        Quat::from_euler(glam::EulerRot::ZYX, turn as f32, tilt as f32, 0.6 * tilt as f32).as_dquat();
+    let turn_by = Quat::from_euler(
+        glam::EulerRot::ZYX,
+        turn as f32,
+        tilt as f32,
+        0.6 * tilt as f32,
+    )
+    .as_dquat();
     let corner = |k: f64| {
         let angle = std::f64::consts::TAU * k / 3.0;
         // A grid of 2⁻²⁰, so that exact numbers stay short.
-        ((centre + turn_by * DVec3::new(size * angle.cos(), size * angle.sin(), 0.0)) * 1_048_576.0).round()
+        ((centre + turn_by * DVec3::new(size * angle.cos(), size * angle.sin(), 0.0)) * 1_048_576.0)
+            .round()
             / 1_048_576.0
     };
     polygon(&[corner(0.0), corner(1.0), corner(2.0)])
 }
 
 fn found(portals: &[Polygon]) -> Antipenumbra {
-    assert!(matches!(stab(portals, &Limits::default(), &|| false).0, Stabbed::Line(_)));
+    assert!(matches!(
+        stab(portals, &Limits::default(), &|| false).0,
+        Stabbed::Line(_)
+    ));
     antipenumbra(portals, &Limits::default()).unwrap()
 }
 
 #[test]
 fn two_triangles_have_a_line_for_each_pair_of_corners_and_six_planes_that_bound() {
-    let portals =
-        [triangle(DVec3::ZERO, 1.0, 0.1, 0.05), triangle(DVec3::new(0.1, 0.2, 2.0), 0.8, 0.7, -0.1)];
+    let portals = [
+        triangle(DVec3::ZERO, 1.0, 0.1, 0.05),
+        triangle(DVec3::new(0.1, 0.2, 2.0), 0.8, 0.7, -0.1),
+    ];
     let found = found(&portals);
     // The product of two triangles.
     assert_eq!(found.polytope, [9, 18, 15]);
@@ -41,8 +52,17 @@ fn two_triangles_have_a_line_for_each_pair_of_corners_and_six_planes_that_bound(
     assert_eq!(found.swaths.len(), 18);
     let boundary: Vec<_> = found.swaths.iter().filter(|s| s.is_boundary).collect();
     assert_eq!(boundary.len(), 6, "a + b of them");
-    assert!(boundary.iter().all(|s| matches!(s.surface, Surface::Plane(_)) && s.in_loop == Some(0)));
-    assert!(found.swaths.iter().all(|s| s.edges.len() == 3 && s.is_boundary == s.in_loop.is_some()));
+    assert!(
+        boundary
+            .iter()
+            .all(|s| matches!(s.surface, Surface::Plane(_)) && s.in_loop == Some(0))
+    );
+    assert!(
+        found
+            .swaths
+            .iter()
+            .all(|s| s.edges.len() == 3 && s.is_boundary == s.in_loop.is_some())
+    );
 }
 
 #[test]
@@ -57,7 +77,13 @@ fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
     let quadrics: Vec<_> = found
         .swaths
         .iter()
-        .filter_map(|s| if let Surface::Quadric(q) = s.surface { Some((q, &s.edges)) } else { None })
+        .filter_map(|s| {
+            if let Surface::Quadric(q) = s.surface {
+                Some((q, &s.edges))
+            } else {
+                None
+            }
+        })
         .collect();
     // The lower edges: y = xz − 2⁻⁷, so 2C = 1, 2G = −1, J = −2⁻⁷ up to a factor.
     let lower = |edges: &Vec<[usize; 2]>| edges.iter().all(|e| e[1] == 0);
@@ -65,13 +91,19 @@ fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
     let scale = 0.5 / q[2];
     let of = q.map(|c| c * scale);
     let wanted = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, -thin];
-    assert!(of.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12), "{of:?}");
+    assert!(
+        of.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12),
+        "{of:?}"
+    );
 }
 
 #[test]
 fn one_polygon_has_none() {
     let square = polygon(&[DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y]);
-    assert_eq!(antipenumbra(&[square], &Limits::default()), Err(NoAntipenumbra::Single));
+    assert_eq!(
+        antipenumbra(&[square], &Limits::default()),
+        Err(NoAntipenumbra::Single)
+    );
 }
 
 /// The sign of a surface at a point.

@@ -68,7 +68,10 @@ impl NewFile {
     /// The file cannot be written, synced or renamed: the target is unchanged. Or the folder cannot be
     /// synced: the target is the new file, as the message states.
     pub fn commit(self) -> io::Result<()> {
-        let part = self.part.into_inner().map_err(io::IntoInnerError::into_error)?;
+        let part = self
+            .part
+            .into_inner()
+            .map_err(io::IntoInnerError::into_error)?;
         match std::fs::metadata(&self.target) {
             Ok(before) => pass_on(&before, part.as_file(), self.access)?,
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
@@ -79,7 +82,11 @@ impl NewFile {
         #[cfg(unix)]
         match self.folder.sync_all() {
             // Some network file systems have no such operation; their servers sync a rename.
-            Err(e) if matches!(e.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => {}
+            Err(e)
+                if matches!(
+                    e.kind(),
+                    io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported
+                ) => {}
             Err(e) => {
                 let text = format!("the file is complete, but its folder cannot be synced: {e}");
                 return Err(io::Error::new(e.kind(), text));
@@ -132,7 +139,9 @@ fn resolve(path: &Path) -> io::Result<(PathBuf, bool)> {
         }
         Ok(_) => Ok((std::fs::canonicalize(path)?, true)),
         Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
-        Err(_) if path.is_symlink() => refuse("is a link to nothing; remove the link, or name another file"),
+        Err(_) if path.is_symlink() => {
+            refuse("is a link to nothing; remove the link, or name another file")
+        }
         Err(_) => Ok((path.to_owned(), false)),
     }
 }
@@ -155,7 +164,9 @@ fn is_stdout(file: &Metadata) -> io::Result<bool> {
 
 /// Returns the folder that contains a file.
 pub fn folder_of(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    path.parent()
+        .filter(|p| !p.as_os_str().is_empty())
+        .unwrap_or(Path::new("."))
 }
 
 /// Passes owner and group of the replaced file on, and the mode of a shared file.
@@ -169,11 +180,18 @@ fn pass_on(before: &Metadata, file: &File, access: Access) -> io::Result<()> {
             // the file owns it then.
             Err(e)
                 if access == Access::Shared
-                    && matches!(e.kind(), io::ErrorKind::PermissionDenied | io::ErrorKind::InvalidInput) => {}
+                    && matches!(
+                        e.kind(),
+                        io::ErrorKind::PermissionDenied | io::ErrorKind::InvalidInput
+                    ) => {}
             done => done?,
         }
     }
-    let mode = if access == Access::Shared { before.mode() & 0o777 } else { 0o600 };
+    let mode = if access == Access::Shared {
+        before.mode() & 0o777
+    } else {
+        0o600
+    };
     file.set_permissions(std::fs::Permissions::from_mode(mode))
 }
 
@@ -222,7 +240,12 @@ mod tests {
     #[test]
     fn folder_and_absent_folder_are_rejected() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(check(folder.path()).unwrap_err().to_string().contains("is a folder"));
+        assert!(
+            check(folder.path())
+                .unwrap_err()
+                .to_string()
+                .contains("is a folder")
+        );
         let absent = check(&folder.path().join("none/out")).unwrap_err();
         assert_eq!(absent.kind(), io::ErrorKind::NotFound);
         check(&folder.path().join("out")).unwrap();
@@ -280,7 +303,10 @@ mod tests {
         assert_eq!(mode(&path), mode(&folder.path().join("other")));
         let private = folder.path().join("private");
         for _ in 0..2 {
-            NewFile::begin(&private, Access::Private).unwrap().commit().unwrap();
+            NewFile::begin(&private, Access::Private)
+                .unwrap()
+                .commit()
+                .unwrap();
             assert_eq!(mode(&private), 0o600);
             std::fs::set_permissions(&private, PermissionsExt::from_mode(0o644)).unwrap();
         }

@@ -30,8 +30,15 @@ const BOX: Vec3 = Vec3::new(0.05, 0.25, 0.85);
 const PEN: f32 = 3.0;
 
 fn point(text: &str) -> Result<Vec3, Box<dyn std::error::Error>> {
-    let parts = text.split(',').map(str::parse).collect::<Result<Vec<f32>, _>>()?;
-    Ok(Vec3::from_array(parts.try_into().map_err(|_| "give three numbers as in 1,2,3")?))
+    let parts = text
+        .split(',')
+        .map(str::parse)
+        .collect::<Result<Vec<f32>, _>>()?;
+    Ok(Vec3::from_array(
+        parts
+            .try_into()
+            .map_err(|_| "give three numbers as in 1,2,3")?,
+    ))
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -44,7 +51,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let cell: u32 = cell.parse()?;
     let mut set = Vec::new();
     pvs.visible(cell, &mut set)?;
-    let bounds = pvs.cell_bounds(cell).ok_or("the result has no such cell")?.map(Vec3::from);
+    let bounds = pvs
+        .cell_bounds(cell)
+        .ok_or("the result has no such cell")?
+        .map(Vec3::from);
     let (eye, target) = (point(eye)?, point(target)?);
 
     let forward = (target - eye).normalize();
@@ -67,7 +77,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         })
     };
 
-    let spec = CubeSpec { resolution: 4096, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 4096,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let backend = CpuBackend::new(Arc::clone(&scene), spec)?;
     let image = backend.prepare(None)?.image(eye)?;
     let light = Vec3::new(0.45, 0.8, 0.35).normalize();
@@ -83,13 +97,23 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let normal = (b - a).cross(c - a).normalize_or_zero();
                 let normal = if normal.dot(d) > 0.0 { -normal } else { normal };
                 let shade = 0.55 + 0.45 * normal.dot(light).max(0.0);
-                shade * if set.binary_search(&id).is_ok() { SEEN } else { OTHER }
+                shade
+                    * if set.binary_search(&id).is_ok() {
+                        SEEN
+                    } else {
+                        OTHER
+                    }
             });
         }
     }
     let corner = |k: usize| Vec3::from_array(std::array::from_fn(|a| bounds[k >> a & 1][a]));
-    for (from, to) in (0..8).flat_map(|k| [1, 2, 4].map(|bit| (k, k | bit))).filter(|(k, l)| k != l) {
-        let (Some([x0, y0]), Some([x1, y1])) = (project(corner(from)), project(corner(to))) else { continue };
+    for (from, to) in (0..8)
+        .flat_map(|k| [1, 2, 4].map(|bit| (k, k | bit)))
+        .filter(|(k, l)| k != l)
+    {
+        let (Some([x0, y0]), Some([x1, y1])) = (project(corner(from)), project(corner(to))) else {
+            continue;
+        };
         let steps = (x1 - x0).abs().max((y1 - y0).abs()).ceil().max(1.0);
         for step in 0..=steps as u32 {
             let t = step as f32 / steps;
@@ -108,7 +132,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             for (i, j) in (0..FINE).flat_map(|i| (0..FINE).map(move |j| (i, j))) {
                 sum += fine[((y * FINE + j) * wide + x * FINE + i) as usize];
             }
-            pixels.extend((sum / (FINE * FINE) as f32).to_array().map(|c| (c.clamp(0.0, 1.0) * 255.0) as u8));
+            pixels.extend(
+                (sum / (FINE * FINE) as f32)
+                    .to_array()
+                    .map(|c| (c.clamp(0.0, 1.0) * 255.0) as u8),
+            );
         }
     }
     let mut encoder = png::Encoder::new(std::fs::File::create(out)?, SIZE[0], SIZE[1]);

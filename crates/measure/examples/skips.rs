@@ -16,14 +16,18 @@ const OUTWARDS: Vec3 = Vec3::new(0.31, 0.83, 0.463);
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().collect();
-    let [_, scene, result] = args.as_slice() else { return Err("usage: skips SCENE OUT.pvs".into()) };
+    let [_, scene, result] = args.as_slice() else {
+        return Err("usage: skips SCENE OUT.pvs".into());
+    };
     let scene = sightline_scene::load(std::path::Path::new(scene))?;
     let pvs = Pvs::open(result)?;
     if pvs.triangle_count() != scene.len() {
         return Err("the result is of another scene".into());
     }
     let solids = Solids::of(&scene)?;
-    let of_solids = (0..scene.len()).filter(|id| solids.outward(*id).is_some()).count();
+    let of_solids = (0..scene.len())
+        .filter(|id| solids.outward(*id).is_some())
+        .count();
 
     let mut seen = vec![false; scene.triangles().len()];
     let mut blind = 0;
@@ -34,10 +38,20 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         pvs.visible(cell, &mut ids)?;
         blind += u32::from(ids.is_empty());
         ids.iter().for_each(|id| seen[*id as usize] = true);
-        boxes.push(pvs.cell_bounds(cell).ok_or("a cell has no bounds")?.map(Vec3::from));
+        boxes.push(
+            pvs.cell_bounds(cell)
+                .ok_or("a cell has no bounds")?
+                .map(Vec3::from),
+        );
     }
-    let free: Vec<Vec3> = boxes.par_iter().filter_map(|b| free_centre(&scene, *b)).collect();
-    let enclosed = free.par_iter().filter(|p| inside(&scene, &solids, **p)).count();
+    let free: Vec<Vec3> = boxes
+        .par_iter()
+        .filter_map(|b| free_centre(&scene, *b))
+        .collect();
+    let enclosed = free
+        .par_iter()
+        .filter(|p| inside(&scene, &solids, **p))
+        .count();
 
     println!(
         "{} triangles: {of_solids} bound closed solids, {} are seen from no cell",
@@ -50,10 +64,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         pvs.cells(),
         free.len()
     );
-    for column in pvs.columns()?.iter().filter(|c| ["rounds", "rays_uniform"].contains(&c.name.as_str())) {
+    for column in pvs
+        .columns()?
+        .iter()
+        .filter(|c| ["rounds", "rays_uniform"].contains(&c.name.as_str()))
+    {
         let most = column.values.iter().max().copied().unwrap_or(0);
         let mean = column.values.iter().sum::<u64>() as f64 / f64::from(pvs.cells());
-        println!("{} of a cell: {mean:.1} on average, {most} at most", column.name);
+        println!(
+            "{} of a cell: {mean:.1} on average, {most} at most",
+            column.name
+        );
     }
     Ok(())
 }
@@ -68,7 +89,9 @@ fn free_centre(scene: &Scene, [min, max]: [Vec3; 2]) -> Option<Vec3> {
 /// Whether the triangle that is seen from `p` along [`OUTWARDS`] shows the inner side of a closed solid. In
 /// single precision: it is asked of points that are away from all triangles.
 fn inside(scene: &Scene, solids: &Solids, p: Vec3) -> bool {
-    let hits = (0u32..).zip(scene.triangles()).filter_map(|(id, t)| Some((distance(t.v, p)?, id)));
+    let hits = (0u32..)
+        .zip(scene.triangles())
+        .filter_map(|(id, t)| Some((distance(t.v, p)?, id)));
     let nearest = hits.min_by(|a, b| a.0.total_cmp(&b.0));
     nearest.is_some_and(|(_, id)| solids.exterior(scene, id, p) == Some(false))
 }

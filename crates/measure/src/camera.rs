@@ -24,9 +24,18 @@ impl Camera {
     /// `size` is in pixels, `spread` half the width of the picture at distance 1.
     pub fn new(eye: Vec3, forward: Vec3, vertical: Vec3, size: [u32; 2], spread: f32) -> Self {
         let forward = forward.try_normalize().unwrap_or(Vec3::X);
-        let right =
-            forward.cross(vertical).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
-        Self { eye, forward, right, up: right.cross(forward), size, scale: 2.0 * spread / size[0] as f32 }
+        let right = forward
+            .cross(vertical)
+            .try_normalize()
+            .unwrap_or_else(|| forward.any_orthonormal_vector());
+        Self {
+            eye,
+            forward,
+            right,
+            up: right.cross(forward),
+            size,
+            scale: 2.0 * spread / size[0] as f32,
+        }
     }
 
     /// Where it is.
@@ -49,7 +58,9 @@ impl Camera {
 
     /// The pixels along a segment of world space, from end to end; none for what is behind the camera.
     pub fn along(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = (u32, u32)> + use<> {
-        let ends = self.clipped(from, to).map(|ends| ends.map(|d| self.flat(d)));
+        let ends = self
+            .clipped(from, to)
+            .map(|ends| ends.map(|d| self.flat(d)));
         // No pixel is at NaN.
         let [[x0, y0], [x1, y1]] = ends.unwrap_or([[f32::NAN; 2]; 2]);
         // A segment that passes near the eye is long in the picture; only some of it is inside.
@@ -69,7 +80,10 @@ impl Camera {
         let near = NEAR * depth[0].abs().max(depth[1].abs());
         let at = |end: usize| match depth[end] >= near {
             true => ends[end],
-            false => ends[end].lerp(ends[1 - end], (near - depth[end]) / (depth[1 - end] - depth[end])),
+            false => ends[end].lerp(
+                ends[1 - end],
+                (near - depth[end]) / (depth[1 - end] - depth[end]),
+            ),
         };
         (depth[0].max(depth[1]) > near).then(|| [at(0), at(1)])
     }

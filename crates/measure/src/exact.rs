@@ -91,13 +91,23 @@ pub fn measure_exact(
     }
     let total = views.points.len() as u64;
     let pool: Mutex<Vec<Scratch>> = Mutex::default();
-    let view = View { distance: far, ..View::default() };
+    let view = View {
+        distance: far,
+        ..View::default()
+    };
     let judge = |(frame, point): (usize, &glam::Vec3)| -> Result<Judged, MeasureError> {
         let viewpoint = point.to_array();
-        let cell = pvs.find_cell(viewpoint).ok_or(MeasureError::Outside { frame, point: viewpoint })?;
+        let cell = pvs.find_cell(viewpoint).ok_or(MeasureError::Outside {
+            frame,
+            point: viewpoint,
+        })?;
         let mut set = Vec::new();
         pvs.visible(cell, &mut set)?;
-        let mut scratch = pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        let mut scratch = pool
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop()
+            .unwrap_or_default();
         let seen = looker.look(viewpoint.map(f64::from), &view, Mode::Exact, &mut scratch)?;
         let (mut missed, mut angle) = (Vec::new(), 0.0);
         for (id, area) in seen.visible.iter().zip(&seen.areas) {
@@ -107,22 +117,38 @@ pub fn measure_exact(
             }
         }
         let seen = seen.visible.clone();
-        pool.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+        pool.lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(scratch);
         let error = angle / (4.0 * std::f64::consts::PI);
-        Ok(Judged { frame: ExactFrame { frame: frame as u64, viewpoint, cell, error, missed }, seen })
+        Ok(Judged {
+            frame: ExactFrame {
+                frame: frame as u64,
+                viewpoint,
+                cell,
+                error,
+                missed,
+            },
+            seen,
+        })
     };
     let (mut seen, mut missed) = (vec![false; pvs.triangle_count() as usize], BTreeSet::new());
     let (mut cells, mut frames) = (BTreeSet::new(), Vec::new());
     let (mut all_seen, mut all_missed) = (0u64, 0u64);
     for (batch, points) in views.points.chunks(BATCH).enumerate() {
-        let judged: Vec<Result<Judged, MeasureError>> =
-            points.par_iter().enumerate().map(|(i, point)| judge((batch * BATCH + i, point))).collect();
+        let judged: Vec<Result<Judged, MeasureError>> = points
+            .par_iter()
+            .enumerate()
+            .map(|(i, point)| judge((batch * BATCH + i, point)))
+            .collect();
         for judged in judged {
             let Judged { frame, seen: ids } = judged?;
             all_seen += ids.len() as u64;
             all_missed += frame.missed.len() as u64;
             // A result of another scene may have fewer triangles; its digest was compared before.
-            ids.iter().filter_map(|id| seen.get_mut(*id as usize).map(|s| *s = true)).for_each(drop);
+            ids.iter()
+                .filter_map(|id| seen.get_mut(*id as usize).map(|s| *s = true))
+                .for_each(drop);
             missed.extend(frame.missed.iter().copied());
             cells.insert(frame.cell);
             frames.push(frame);
@@ -137,7 +163,12 @@ pub fn measure_exact(
         true => frames.iter().map(|f| f.error).sum::<f64>() / total as f64,
         false => {
             let sum: f64 = views.weights.iter().sum();
-            frames.iter().zip(&views.weights).map(|(f, weight)| f.error * weight).sum::<f64>() / sum
+            frames
+                .iter()
+                .zip(&views.weights)
+                .map(|(f, weight)| f.error * weight)
+                .sum::<f64>()
+                / sum
         }
     };
     let frames_with_error = frames.iter().filter(|f| !f.missed.is_empty()).count() as u64;

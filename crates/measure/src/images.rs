@@ -20,7 +20,10 @@ pub const WRONG: [u8; 3] = [210, 40, 40];
 
 /// Writes a cube image as a PNG of 3n × 2n pixels. `visible` is the cell's set as bits.
 pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(), MeasureError> {
-    let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
+    let failed = |reason: String| MeasureError::Image {
+        path: path.to_owned(),
+        reason,
+    };
     let mut file = NewFile::begin(path, Access::Shared).map_err(|e| failed(e.to_string()))?;
     let n = image.resolution;
     let mut encoder = png::Encoder::new(&mut file, 3 * n, 2 * n);
@@ -52,8 +55,10 @@ pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64]) -> Result<(
 }
 
 /// The glyphs of the faces' names, five rows of five bits each.
-const SIGNS: [[u8; 5]; 2] =
-    [[0b00100, 0b00100, 0b11111, 0b00100, 0b00100], [0b00000, 0b00000, 0b11111, 0b00000, 0b00000]];
+const SIGNS: [[u8; 5]; 2] = [
+    [0b00100, 0b00100, 0b11111, 0b00100, 0b00100],
+    [0b00000, 0b00000, 0b11111, 0b00000, 0b00000],
+];
 const AXES: [[u8; 5]; 3] = [
     [0b10001, 0b01010, 0b00100, 0b01010, 0b10001],
     [0b10001, 0b01010, 0b00100, 0b00100, 0b00100],
@@ -64,8 +69,12 @@ const AXES: [[u8; 5]; 3] = [
 /// pixels have no room for one.
 fn is_label(face: u32, x: u32, y: u32, n: u32) -> bool {
     let dot = n / 64;
-    let Some((column, row)) = x.checked_div(dot).zip(y.checked_div(dot)) else { return false };
-    let Some(row) = row.checked_sub(1).filter(|row| *row < 5) else { return false };
+    let Some((column, row)) = x.checked_div(dot).zip(y.checked_div(dot)) else {
+        return false;
+    };
+    let Some(row) = row.checked_sub(1).filter(|row| *row < 5) else {
+        return false;
+    };
     let glyph = match column {
         1..=5 => SIGNS[(face % 2) as usize],
         7..=11 => AXES[(face / 2) as usize],

@@ -37,7 +37,12 @@ pub struct Options {
 impl Default for Options {
     /// No images, the eight worst frames.
     fn default() -> Self {
-        Self { images_dir: None, turntable: None, images: 8, worst: 8 }
+        Self {
+            images_dir: None,
+            turntable: None,
+            images: 8,
+            worst: 8,
+        }
     }
 }
 
@@ -76,8 +81,10 @@ pub fn measure(
     }
     if let Some(dir) = &options.images_dir {
         // Before the work, not after it.
-        std::fs::create_dir_all(dir)
-            .map_err(|e| MeasureError::Image { path: dir.clone(), reason: e.to_string() })?;
+        std::fs::create_dir_all(dir).map_err(|e| MeasureError::Image {
+            path: dir.clone(),
+            reason: e.to_string(),
+        })?;
     }
     let total = views.points.len() as u64;
     let mut seen = vec![false; pvs.triangle_count() as usize];
@@ -125,11 +132,20 @@ pub fn measure(
 
     // Sums of whole pixels: no order of additions can change them.
     let pixels = pixels_of(resolution);
-    let mean = |sum: u64, count: u64| if count == 0 { 0.0 } else { sum as f64 / count as f64 };
+    let mean = |sum: u64, count: u64| {
+        if count == 0 {
+            0.0
+        } else {
+            sum as f64 / count as f64
+        }
+    };
     // With weights the mean is weighted, in the order of the frames; the rest is over frames.
     let weighted = (!views.weights.is_empty()).then(|| {
         let sum: f64 = views.weights.iter().sum();
-        let wrong = wrong_counts.iter().zip(&views.weights).map(|(wrong, weight)| *wrong as f64 * weight);
+        let wrong = wrong_counts
+            .iter()
+            .zip(&views.weights)
+            .map(|(wrong, weight)| *wrong as f64 * weight);
         wrong.sum::<f64>() / sum
     });
     let wrong_sum: u64 = wrong_counts.iter().sum();
@@ -138,7 +154,11 @@ pub fn measure(
     frames.truncate(options.worst);
     if let Some(dir) = &options.images_dir {
         for (rank, frame) in frames.iter_mut().enumerate().take(options.images) {
-            let path = dir.join(format!("worst_{:02}_frame_{:06}.png", rank + 1, frame.frame));
+            let path = dir.join(format!(
+                "worst_{:02}_frame_{:06}.png",
+                rank + 1,
+                frame.frame
+            ));
             let (mut image, passed) = render(renderer, pvs, Vec3::from(frame.viewpoint))?;
             let visible = visible_bits(pvs, frame.cell)?;
             // A missing see-through triangle is drawn in front of what it does not hide.
@@ -175,9 +195,16 @@ fn pixels_of(resolution: u32) -> f64 {
 }
 
 /// Renders a frame and compares it with its cell's set.
-fn judge(renderer: &dyn CubeRenderer, pvs: &Pvs, frame: usize, point: Vec3) -> Result<Judged, MeasureError> {
+fn judge(
+    renderer: &dyn CubeRenderer,
+    pvs: &Pvs,
+    frame: usize,
+    point: Vec3,
+) -> Result<Judged, MeasureError> {
     let point = point.to_array();
-    let cell = pvs.find_cell(point).ok_or(MeasureError::Outside { frame, point })?;
+    let cell = pvs
+        .find_cell(point)
+        .ok_or(MeasureError::Outside { frame, point })?;
     let (image, passed) = render(renderer, pvs, Vec3::from(point))?;
     let visible = visible_bits(pvs, cell)?;
     let mut wrong_pixels: Vec<bool> = image.ids.iter().map(|&id| is_wrong(&visible, id)).collect();
@@ -196,7 +223,11 @@ fn judge(renderer: &dyn CubeRenderer, pvs: &Pvs, frame: usize, point: Vec3) -> R
         resolution: image.resolution,
         wrong_pixels: wrong_pixels.iter().filter(|&&w| w).count() as u64,
         regions: regions(image.resolution, &wrong_pixels),
-        wrong: seen.iter().copied().filter(|&id| is_wrong(&visible, id)).collect(),
+        wrong: seen
+            .iter()
+            .copied()
+            .filter(|&id| is_wrong(&visible, id))
+            .collect(),
         seen,
     })
 }

@@ -59,14 +59,18 @@ pub fn measure_pairs(
             let (mut packets, mut cells): (Vec<Packet>, Vec<[u32; 2]>) = (Vec::new(), Vec::new());
             for _ in 0..AT_ONCE.min(count - part * AT_ONCE) {
                 let (a, b) = (point(), point());
-                let (Some(from), Some(to)) = (pvs.find_cell(a), pvs.find_cell(b)) else { continue };
+                let (Some(from), Some(to)) = (pvs.find_cell(a), pvs.find_cell(b)) else {
+                    continue;
+                };
                 if from == to || !(is_place(a) || is_place(b)) {
                     continue;
                 }
                 if cells.len() % LANES == 0 {
                     packets.push(Packet::default());
                 }
-                let Some(packet) = packets.last_mut() else { continue };
+                let Some(packet) = packets.last_mut() else {
+                    continue;
+                };
                 packet.push(a, [0, 1, 2].map(|k| b[k] - a[k]));
                 cells.push([from, to]);
             }
@@ -84,5 +88,10 @@ pub fn measure_pairs(
         .collect::<Result<_, MeasureError>>()?;
     let sum = |of: fn(&PairReport) -> u64| parts.iter().map(of).sum::<u64>();
     let (pairs, free, missed) = (sum(|r| r.pairs), sum(|r| r.free), sum(|r| r.missed));
-    Ok(PairReport { pairs, free, missed, missed_fraction: missed as f64 / free.max(1) as f64 })
+    Ok(PairReport {
+        pairs,
+        free,
+        missed,
+        missed_fraction: missed as f64 / free.max(1) as f64,
+    })
 }

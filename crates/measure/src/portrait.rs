@@ -50,7 +50,12 @@ impl Portrait<'_> {
     ///
     /// # Errors
     /// [`MeasureError`] when the device fails.
-    pub fn draw(&self, scene: &Scene, sight: &Sight<'_>, step: f32) -> Result<Vec<u8>, MeasureError> {
+    pub fn draw(
+        &self,
+        scene: &Scene,
+        sight: &Sight<'_>,
+        step: f32,
+    ) -> Result<Vec<u8>, MeasureError> {
         let camera = self.camera(scene);
         let ids = traced(&camera, sight, step)?;
         let [wide, high] = camera.size();
@@ -63,7 +68,9 @@ impl Portrait<'_> {
         if self.target.len() <= OUTLINED {
             for corners in self.target.iter().map(|t| scene.triangles()[*t as usize].v) {
                 for k in 0..3 {
-                    camera.along(corners[k], corners[(k + 1) % 3]).for_each(|at| dot(at, OUTLINE));
+                    camera
+                        .along(corners[k], corners[(k + 1) % 3])
+                        .for_each(|at| dot(at, OUTLINE));
                 }
             }
         }
@@ -72,13 +79,17 @@ impl Portrait<'_> {
                 dot((x, y), MARK);
             }
         }
-        let failed = |e: png::EncodingError| MeasureError::Encode { reason: e.to_string() };
+        let failed = |e: png::EncodingError| MeasureError::Encode {
+            reason: e.to_string(),
+        };
         let mut out = Vec::new();
         let mut encoder = png::Encoder::new(&mut out, wide, high);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         let mut writer = encoder.write_header().map_err(failed)?;
-        writer.write_image_data(pixels.as_flattened()).map_err(failed)?;
+        writer
+            .write_image_data(pixels.as_flattened())
+            .map_err(failed)?;
         writer.finish().map_err(failed)?;
         Ok(out)
     }
@@ -86,10 +97,19 @@ impl Portrait<'_> {
     /// A camera that looks at the end of the line or the middle of the target, and has all of the target in
     /// view if it is not too near.
     fn camera(&self, scene: &Scene) -> Camera {
-        let corners = || self.target.iter().flat_map(|t| scene.triangles()[*t as usize].v);
-        let (min, max) =
-            corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), v| (min.min(v), max.max(v)));
-        let middle = if self.target.is_empty() { self.eye + Vec3::X } else { (min + max) / 2.0 };
+        let corners = || {
+            self.target
+                .iter()
+                .flat_map(|t| scene.triangles()[*t as usize].v)
+        };
+        let (min, max) = corners().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(min, max), v| {
+            (min.min(v), max.max(v))
+        });
+        let middle = if self.target.is_empty() {
+            self.eye + Vec3::X
+        } else {
+            (min + max) / 2.0
+        };
         let middle = self.seen_at.unwrap_or(middle);
         let radius = corners().map(|v| v.distance(middle)).fold(0.0, f32::max);
         let spread = MARGIN * radius / self.eye.distance(middle).max(f32::MIN_POSITIVE);

@@ -70,7 +70,13 @@ fn pixel(n: u32, face: u32, x: i64, y: i64) -> u32 {
     direction[(axis + 1) % 3] = 2 * x + 1 - m;
     direction[(axis + 2) % 3] = 2 * y + 1 - m;
     // One step off the face exactly one component is n + 1 in size, the greatest.
-    let axis = (0..3).fold(0, |best, a| if direction[a].abs() > direction[best].abs() { a } else { best });
+    let axis = (0..3).fold(0, |best, a| {
+        if direction[a].abs() > direction[best].abs() {
+            a
+        } else {
+            best
+        }
+    });
     let reach = direction[axis].abs();
     let to_pixel = |component: i64| ((component + reach) * m / (2 * reach)).clamp(0, m - 1) as u32;
     let face = axis as u32 * 2 + u32::from(direction[axis] < 0);
@@ -96,10 +102,16 @@ mod tests {
             for i in 0..6 * n * n {
                 for j in neighbours(n, i) {
                     assert!(j < 6 * n * n && j != i);
-                    assert!(neighbours(n, j).contains(&i), "{i} touches {j}, not the reverse, n = {n}");
+                    assert!(
+                        neighbours(n, j).contains(&i),
+                        "{i} touches {j}, not the reverse, n = {n}"
+                    );
                     if n >= 8 {
                         let angle = direction(n, i).angle_between(direction(n, j));
-                        assert!(angle < 2.9 / n as f32, "{i} and {j} are {angle} apart, n = {n}");
+                        assert!(
+                            angle < 2.9 / n as f32,
+                            "{i} and {j} are {angle} apart, n = {n}"
+                        );
                     }
                 }
                 let mut distinct = neighbours(n, i).to_vec();
@@ -114,7 +126,13 @@ mod tests {
     fn the_whole_cube_is_one_region() {
         for n in [1, 2, 7] {
             let all = vec![true; (6 * n * n) as usize];
-            assert_eq!(regions(n, &all), Regions { count: 1, largest: 6 * n * n });
+            assert_eq!(
+                regions(n, &all),
+                Regions {
+                    count: 1,
+                    largest: 6 * n * n
+                }
+            );
             assert_eq!(regions(n, &vec![false; all.len()]), Regions::default());
         }
     }
@@ -126,17 +144,39 @@ mod tests {
         // Diagonal on face 0.
         wrong[0] = true;
         wrong[5] = true;
-        assert_eq!(regions(n, &wrong), Regions { count: 2, largest: 1 });
+        assert_eq!(
+            regions(n, &wrong),
+            Regions {
+                count: 2,
+                largest: 1
+            }
+        );
         wrong[1] = true;
-        assert_eq!(regions(n, &wrong), Regions { count: 1, largest: 3 });
+        assert_eq!(
+            regions(n, &wrong),
+            Regions {
+                count: 1,
+                largest: 3
+            }
+        );
         // Face 0 looks along +x, its right is +y: the right border touches face 2 (+y), whose up is +x.
         let mut wrong = vec![false; 96];
         wrong[(2 * n + 3) as usize] = true;
         let across = neighbours(n, 2 * n + 3)[1];
         assert_eq!(across / (n * n), 2);
-        assert_eq!((across / n % n, across % n), (3, 2), "top row (+x), as far along z as before");
+        assert_eq!(
+            (across / n % n, across % n),
+            (3, 2),
+            "top row (+x), as far along z as before"
+        );
         wrong[across as usize] = true;
-        assert_eq!(regions(n, &wrong), Regions { count: 1, largest: 2 });
+        assert_eq!(
+            regions(n, &wrong),
+            Regions {
+                count: 1,
+                largest: 2
+            }
+        );
     }
 
     #[test]
@@ -148,7 +188,13 @@ mod tests {
         for face in [0, 2, 4] {
             wrong[corner(face) as usize] = true;
         }
-        assert_eq!(regions(n, &wrong), Regions { count: 1, largest: 3 });
+        assert_eq!(
+            regions(n, &wrong),
+            Regions {
+                count: 1,
+                largest: 3
+            }
+        );
     }
     /// The same by flooding, the paper's "recursive search".
     fn flooded(n: u32, wrong: &[bool]) -> Regions {

@@ -95,15 +95,25 @@ impl Durations {
     }
 
     pub fn report(&self) -> PathReport {
-        let mean_frames = if self.errors == 0 { 0.0 } else { self.frames as f64 / self.errors as f64 };
-        PathReport { errors: self.errors, mean_frames, max_frames: self.longest }
+        let mean_frames = if self.errors == 0 {
+            0.0
+        } else {
+            self.frames as f64 / self.errors as f64
+        };
+        PathReport {
+            errors: self.errors,
+            mean_frames,
+            max_frames: self.longest,
+        }
     }
 }
 
 /// The nearest-rank percentile of ascending values, `percent` in 1…100; `None` when there are none.
 pub(crate) fn nearest_rank<T: Copy>(ascending: &[T], percent: u64) -> Option<T> {
     let rank = (ascending.len() as u64 * percent).div_ceil(100);
-    ascending.get(usize::try_from(rank).ok()?.checked_sub(1)?).copied()
+    ascending
+        .get(usize::try_from(rank).ok()?.checked_sub(1)?)
+        .copied()
 }
 
 #[cfg(test)]
@@ -127,7 +137,21 @@ mod tests {
             d.push(wrong);
         }
         // 1 for one frame, 5 for three, 9 for one, then 1 and 5 for one frame each.
-        assert_eq!(d.report(), PathReport { errors: 5, mean_frames: 7.0 / 5.0, max_frames: 3 });
-        assert_eq!(Durations::default().report(), PathReport { errors: 0, mean_frames: 0.0, max_frames: 0 });
+        assert_eq!(
+            d.report(),
+            PathReport {
+                errors: 5,
+                mean_frames: 7.0 / 5.0,
+                max_frames: 3
+            }
+        );
+        assert_eq!(
+            Durations::default().report(),
+            PathReport {
+                errors: 0,
+                mean_frames: 0.0,
+                max_frames: 0
+            }
+        );
     }
 }

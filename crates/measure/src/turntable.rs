@@ -21,19 +21,38 @@ const STEPS: u32 = 48;
 const RATE: u16 = 12;
 
 /// Writes the animation. `visible` is the cell's set as bits; `up` is 1 or 2, for y or z.
-pub(crate) fn write(path: &Path, image: &CubeImage, visible: &[u64], up: usize) -> Result<(), MeasureError> {
-    let failed = |reason: String| MeasureError::Image { path: path.to_owned(), reason };
+pub(crate) fn write(
+    path: &Path,
+    image: &CubeImage,
+    visible: &[u64],
+    up: usize,
+) -> Result<(), MeasureError> {
+    let failed = |reason: String| MeasureError::Image {
+        path: path.to_owned(),
+        reason,
+    };
     let mut file = NewFile::begin(path, Access::Shared).map_err(|e| failed(e.to_string()))?;
     let [wide, high] = SIZE;
     let mut encoder = png::Encoder::new(&mut file, wide, high);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_animated(STEPS, 0).map_err(|e| failed(e.to_string()))?;
-    encoder.set_frame_delay(1, RATE).map_err(|e| failed(e.to_string()))?;
+    encoder
+        .set_animated(STEPS, 0)
+        .map_err(|e| failed(e.to_string()))?;
+    encoder
+        .set_frame_delay(1, RATE)
+        .map_err(|e| failed(e.to_string()))?;
     let mut writer = encoder.write_header().map_err(|e| failed(e.to_string()))?;
     for step in 0..STEPS {
-        let picture = picture(image, visible, up, std::f32::consts::TAU * step as f32 / STEPS as f32);
-        writer.write_image_data(&picture).map_err(|e| failed(e.to_string()))?;
+        let picture = picture(
+            image,
+            visible,
+            up,
+            std::f32::consts::TAU * step as f32 / STEPS as f32,
+        );
+        writer
+            .write_image_data(&picture)
+            .map_err(|e| failed(e.to_string()))?;
     }
     writer.finish().map_err(|e| failed(e.to_string()))?;
     file.commit().map_err(|e| failed(e.to_string()))

@@ -35,8 +35,14 @@ impl Viewpoints {
             // Rounding may lift a point onto the border, which still belongs to the view box.
             (lo + (hi - lo) * f64::from(stream.unit_f32())) as f32
         };
-        let points = (0..n).map(|_| Vec3::new(coordinate(0), coordinate(1), coordinate(2))).collect();
-        Self { points, weights: Vec::new(), is_path: false }
+        let points = (0..n)
+            .map(|_| Vec3::new(coordinate(0), coordinate(1), coordinate(2)))
+            .collect();
+        Self {
+            points,
+            weights: Vec::new(),
+            is_path: false,
+        }
     }
 
     /// The same where `is_place` holds: of up to a thousand times as many points as wanted, the first `n`
@@ -64,7 +70,11 @@ impl Viewpoints {
                 points.push(point.into());
             }
         }
-        Self { points, weights: Vec::new(), is_path: false }
+        Self {
+            points,
+            weights: Vec::new(),
+            is_path: false,
+        }
     }
 
     /// Given points with weights. When there are more than `n`, `n` of them are drawn by their weights, at
@@ -72,18 +82,28 @@ impl Viewpoints {
     pub fn weighted(all: &[([f32; 3], f64)], n: u32, seed: u64) -> Self {
         if all.len() <= n as usize {
             let (points, weights) = all.iter().map(|(p, w)| (Vec3::from(*p), *w)).unzip();
-            return Self { points, weights, is_path: false };
+            return Self {
+                points,
+                weights,
+                is_path: false,
+            };
         }
         let sum: f64 = all.iter().map(|(_, w)| w).sum();
         let start = f64::from(SplitMix64::new(seed).unit_f32());
         let (mut points, mut before) = (Vec::new(), 0.0);
         for (point, weight) in all {
             before += weight;
-            while points.len() < n as usize && (points.len() as f64 + start) * sum / f64::from(n) < before {
+            while points.len() < n as usize
+                && (points.len() as f64 + start) * sum / f64::from(n) < before
+            {
                 points.push(Vec3::from(*point));
             }
         }
-        Self { points, weights: Vec::new(), is_path: false }
+        Self {
+            points,
+            weights: Vec::new(),
+            is_path: false,
+        }
     }
 
     /// A camera path: a viewpoint a line, as `x y z` (spaces or commas between) or as `{"position":[x,y,z]}`
@@ -98,7 +118,9 @@ impl Viewpoints {
         let mut bytes = Vec::new();
         for line in 1.. {
             bytes.clear();
-            let read = (&mut reader).take(MAX_LINE + 1).read_until(b'\n', &mut bytes);
+            let read = (&mut reader)
+                .take(MAX_LINE + 1)
+                .read_until(b'\n', &mut bytes);
             if read.map_err(|source| MeasureError::Read { line, source })? == 0 {
                 break;
             }
@@ -106,17 +128,30 @@ impl Viewpoints {
             if bytes.len() as u64 > MAX_LINE {
                 return Err(bad(format!("it is longer than {MAX_LINE} bytes")));
             }
-            let text = std::str::from_utf8(&bytes).map_err(|_| bad("it is not text".to_owned()))?.trim();
-            let Some(point) = parse_line(text).map_err(bad)? else { continue };
+            let text = std::str::from_utf8(&bytes)
+                .map_err(|_| bad("it is not text".to_owned()))?
+                .trim();
+            let Some(point) = parse_line(text).map_err(bad)? else {
+                continue;
+            };
             if !(0..3).all(|a| min[a] <= point[a] && point[a] <= max[a]) {
-                return Err(MeasureError::PathOutside { line, point, min, max });
+                return Err(MeasureError::PathOutside {
+                    line,
+                    point,
+                    min,
+                    max,
+                });
             }
             points.push(Vec3::from(point));
         }
         if points.is_empty() {
             Err(MeasureError::NoViewpoints)
         } else {
-            Ok(Self { points, weights: Vec::new(), is_path: true })
+            Ok(Self {
+                points,
+                weights: Vec::new(),
+                is_path: true,
+            })
         }
     }
 }
@@ -130,16 +165,24 @@ struct JsonLine {
 /// The point of a line, `None` for a line without one.
 fn parse_line(text: &str) -> Result<Option<[f32; 3]>, String> {
     let point = if text.starts_with('{') {
-        serde_json::from_str::<JsonLine>(text).map_err(|e| e.to_string())?.position
+        serde_json::from_str::<JsonLine>(text)
+            .map_err(|e| e.to_string())?
+            .position
     } else {
         let text = text.split('#').next().unwrap_or_default();
-        let mut numbers = text.split(|c: char| c == ',' || c.is_whitespace()).filter(|word| !word.is_empty());
+        let mut numbers = text
+            .split(|c: char| c == ',' || c.is_whitespace())
+            .filter(|word| !word.is_empty());
         let mut point = [0.0f32; 3];
         for (i, coordinate) in point.iter_mut().enumerate() {
             match numbers.next() {
                 None if i == 0 => return Ok(None),
                 None => return Err(format!("it has {i} numbers instead of 3")),
-                Some(word) => *coordinate = word.parse().map_err(|_| format!("“{word}” is not a number"))?,
+                Some(word) => {
+                    *coordinate = word
+                        .parse()
+                        .map_err(|_| format!("“{word}” is not a number"))?
+                }
             }
         }
         if numbers.next().is_some() {
@@ -166,7 +209,9 @@ mod tests {
         assert_eq!(a, Viewpoints::random(500, 7, BOX));
         assert_ne!(a, Viewpoints::random(500, 8, BOX));
         assert!(
-            a.points.iter().all(|p| (-1.0..=1.0).contains(&p.x) && p.y == 0.0 && (2.0..=5.0).contains(&p.z))
+            a.points
+                .iter()
+                .all(|p| (-1.0..=1.0).contains(&p.x) && p.y == 0.0 && (2.0..=5.0).contains(&p.z))
         );
         // Halves, quarters: uniform enough to notice a wrong shift.
         let below = a.points.iter().filter(|p| p.x < 0.0).count();
@@ -178,16 +223,26 @@ mod tests {
 
     #[test]
     fn both_kinds_of_line_are_read() {
-        let text = "# a walk\n0 0 3\n\n 0.5,0,  4 # stop\r\n{\"position\":[-1,0,5],\"t\":2}\n1\t0\t2";
+        let text =
+            "# a walk\n0 0 3\n\n 0.5,0,  4 # stop\r\n{\"position\":[-1,0,5],\"t\":2}\n1\t0\t2";
         let path = Viewpoints::path(text.as_bytes(), BOX).unwrap();
         assert!(path.is_path);
-        let expected = [[0.0, 0.0, 3.0], [0.5, 0.0, 4.0], [-1.0, 0.0, 5.0], [1.0, 0.0, 2.0]];
+        let expected = [
+            [0.0, 0.0, 3.0],
+            [0.5, 0.0, 4.0],
+            [-1.0, 0.0, 5.0],
+            [1.0, 0.0, 2.0],
+        ];
         assert_eq!(path.points, expected.map(Vec3::from));
     }
 
     #[test]
     fn bad_lines_are_named() {
-        let why = |text: &str| Viewpoints::path(text.as_bytes(), BOX).unwrap_err().to_string();
+        let why = |text: &str| {
+            Viewpoints::path(text.as_bytes(), BOX)
+                .unwrap_err()
+                .to_string()
+        };
         for (text, line, part) in [
             ("0 0 3\n0 0", 2, "2 numbers"),
             ("0 0 3 4", 1, "more than 3"),
@@ -200,9 +255,15 @@ mod tests {
             (&"7".repeat(5000), 1, "longer"),
         ] {
             let message = why(text);
-            assert!(message.contains(&format!("line {line} ")) && message.contains(part), "{message}");
+            assert!(
+                message.contains(&format!("line {line} ")) && message.contains(part),
+                "{message}"
+            );
         }
-        assert!(matches!(Viewpoints::path(&b"# none\n"[..], BOX), Err(MeasureError::NoViewpoints)));
+        assert!(matches!(
+            Viewpoints::path(&b"# none\n"[..], BOX),
+            Err(MeasureError::NoViewpoints)
+        ));
         assert!(matches!(
             Viewpoints::path(&b"0 0 3\n\xff\xfe"[..], BOX),
             Err(MeasureError::Line { line: 2, .. })

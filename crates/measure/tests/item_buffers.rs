@@ -15,14 +15,24 @@ use sightline_tetra::{Mode, Scratch, View};
 
 #[test]
 fn item_buffers_show_nothing_beside_the_exact_set() {
-    let town = Params { triangles: Some(3000), ..Params::default() };
-    let rooms = Params { grid: Some([2, 2]), ..Params::default() };
+    let town = Params {
+        triangles: Some(3000),
+        ..Params::default()
+    };
+    let rooms = Params {
+        grid: Some([2, 2]),
+        ..Params::default()
+    };
     for (kind, params) in [(Kind::Town, town), (Kind::Rooms, rooms)] {
         let scene = Arc::new(generate(kind, &params).unwrap());
         let surfaces = Surfaces::new(&scene).unwrap();
         let hierarchy = Hierarchy::new(surfaces.view());
         let looker = Looker::new(surfaces.view(), hierarchy.view());
-        let spec = CubeSpec { resolution: 128, strata: Strata::One, keep_pixels: false };
+        let spec = CubeSpec {
+            resolution: 128,
+            strata: Strata::One,
+            keep_pixels: false,
+        };
         let backend = CpuBackend::new(scene.clone(), spec).unwrap();
         let renderer = backend.prepare(None).unwrap();
         let (mut stream, mut scratch) = (SplitMix64::new(5), Scratch::default());
@@ -36,10 +46,19 @@ fn item_buffers_show_nothing_beside_the_exact_set() {
             ids.dedup();
             ids.pop_if(|last| *last == SKY);
             shown += ids.len();
-            let seen =
-                looker.look(x.as_dvec3().to_array(), &View::default(), Mode::Exact, &mut scratch).unwrap();
+            let seen = looker
+                .look(
+                    x.as_dvec3().to_array(),
+                    &View::default(),
+                    Mode::Exact,
+                    &mut scratch,
+                )
+                .unwrap();
             for id in ids {
-                assert!(seen.visible.binary_search(&id).is_ok(), "{kind:?}: triangle {id} from {x}");
+                assert!(
+                    seen.visible.binary_search(&id).is_ok(),
+                    "{kind:?}: triangle {id} from {x}"
+                );
             }
         }
         assert!(shown > 500, "{kind:?}: {shown}");

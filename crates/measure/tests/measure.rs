@@ -24,8 +24,14 @@ impl CubeRenderer for Fake {
 
     fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
         match self.0.get(&(point.x as i32)) {
-            Some(ids) => Ok(CubeImage { resolution: N, ids: ids.clone() }),
-            None => Err(BackendError::Failed { profile: "fake".into(), reason: "no image".into() }),
+            Some(ids) => Ok(CubeImage {
+                resolution: N,
+                ids: ids.clone(),
+            }),
+            None => Err(BackendError::Failed {
+                profile: "fake".into(),
+                reason: "no image".into(),
+            }),
         }
     }
 }
@@ -33,12 +39,26 @@ impl CubeRenderer for Fake {
 fn pvs() -> Pvs {
     let nodes = vec![Node::Split { axis: 0, at: 1.0 }, Node::Leaf, Node::Leaf];
     let tree = CellTree::new([[0.0; 3], [100.0, 1.0, 1.0]], nodes).unwrap();
-    let objects = vec![Object { name: "all".into(), first: 0, count: TRIANGLES, source: None }];
-    let header =
-        Header { triangles: TRIANGLES, method: "aggressive".into(), tree, objects, info_json: "{}".into() };
+    let objects = vec![Object {
+        name: "all".into(),
+        first: 0,
+        count: TRIANGLES,
+        source: None,
+    }];
+    let header = Header {
+        triangles: TRIANGLES,
+        method: "aggressive".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    };
     let mut builder = Builder::new(header).unwrap();
-    builder.push_cell(&(0..10).collect::<Vec<_>>(), &[], 0).unwrap();
-    builder.push_cell(&(0..5).collect::<Vec<_>>(), &[], 0).unwrap();
+    builder
+        .push_cell(&(0..10).collect::<Vec<_>>(), &[], 0)
+        .unwrap();
+    builder
+        .push_cell(&(0..5).collect::<Vec<_>>(), &[], 0)
+        .unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     Pvs::from_bytes(file).unwrap()
@@ -59,9 +79,21 @@ fn image(pixels: &[(usize, u32)]) -> Vec<u32> {
 }
 
 fn run(images: Vec<Vec<u32>>, is_path: bool, options: &Options) -> Result<Report, MeasureError> {
-    let points = (0..images.len()).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
+    let points = (0..images.len())
+        .map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5))
+        .collect();
     let fake = Fake((0..).zip(images).collect());
-    measure(&fake, &pvs(), &Viewpoints { points, weights: Vec::new(), is_path }, options, &mut |_, _| true)
+    measure(
+        &fake,
+        &pvs(),
+        &Viewpoints {
+            points,
+            weights: Vec::new(),
+            is_path,
+        },
+        options,
+        &mut |_, _| true,
+    )
 }
 
 #[test]
@@ -69,7 +101,12 @@ fn known_images_give_known_measures() {
     let report = run(
         vec![
             // Cell 0: 9 is visible, 10 is not: two diagonal pixels, one pixel apart.
-            image(&[(at(0, 2, 2), 9), (at(0, 5, 5), 10), (at(0, 6, 6), 10), (at(0, 9, 1), 11)]),
+            image(&[
+                (at(0, 2, 2), 9),
+                (at(0, 5, 5), 10),
+                (at(0, 6, 6), 10),
+                (at(0, 9, 1), 11),
+            ]),
             // Cell 1: nothing wrong.
             image(&[(at(0, 2, 2), 4)]),
             // Cell 1: 9 is wrong now; across the edge from face 0 (+x, right border) to face 2 (+y, top row).
@@ -84,7 +121,12 @@ fn known_images_give_known_measures() {
             image(&[(at(5, 0, 0), 6)]),
         ],
         false,
-        &Options { images_dir: None, turntable: None, images: 2, worst: 2 },
+        &Options {
+            images_dir: None,
+            turntable: None,
+            images: 2,
+            worst: 2,
+        },
     )
     .unwrap();
     let pixels = 600.0;
@@ -100,8 +142,18 @@ fn known_images_give_known_measures() {
     assert_eq!(report.cells_visited, 2);
     assert_eq!(report.triangles_seen, 8, "0 4 6 7 9 10 11 19");
     assert_eq!(report.path, None);
-    assert_eq!(report.worst.iter().map(|w| w.frame).collect::<Vec<_>>(), [2, 0]);
-    assert_eq!((report.worst[0].wrong_triangles, report.worst[0].cell, report.worst[0].regions), (3, 1, 2));
+    assert_eq!(
+        report.worst.iter().map(|w| w.frame).collect::<Vec<_>>(),
+        [2, 0]
+    );
+    assert_eq!(
+        (
+            report.worst[0].wrong_triangles,
+            report.worst[0].cell,
+            report.worst[0].regions
+        ),
+        (3, 1, 2)
+    );
     assert_eq!(report.worst[0].viewpoint, [2.5, 0.5, 0.5]);
     assert_eq!(report.worst[0].image, None);
 }
@@ -130,20 +182,43 @@ fn the_report_has_the_keys_others_rely_on() {
 #[test]
 fn errors_on_a_path_are_followed() {
     let wrong = |ids: &[u32]| {
-        let pixels: Vec<_> = ids.iter().enumerate().map(|(i, &id)| (at(1, i as u32 * 2, 0), id)).collect();
+        let pixels: Vec<_> = ids
+            .iter()
+            .enumerate()
+            .map(|(i, &id)| (at(1, i as u32 * 2, 0), id))
+            .collect();
         image(&pixels)
     };
-    let images = vec![wrong(&[]), wrong(&[12, 9]), wrong(&[12]), wrong(&[12, 15]), wrong(&[9])];
+    let images = vec![
+        wrong(&[]),
+        wrong(&[12, 9]),
+        wrong(&[12]),
+        wrong(&[12, 15]),
+        wrong(&[9]),
+    ];
     let report = run(images, true, &Options::default()).unwrap();
-    assert_eq!(report.path, Some(PathReport { errors: 4, mean_frames: 6.0 / 4.0, max_frames: 3 }));
+    assert_eq!(
+        report.path,
+        Some(PathReport {
+            errors: 4,
+            mean_frames: 6.0 / 4.0,
+            max_frames: 3
+        })
+    );
 }
 
 #[test]
 fn progress_ends_at_all_frames() {
     let fake = Fake((0..70).map(|i| (i, image(&[]))).collect());
-    let points = (0..70).map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5)).collect();
+    let points = (0..70)
+        .map(|i| Vec3::new(i as f32 + 0.5, 0.5, 0.5))
+        .collect();
     let mut told = Vec::new();
-    let views = Viewpoints { points, weights: Vec::new(), is_path: false };
+    let views = Viewpoints {
+        points,
+        weights: Vec::new(),
+        is_path: false,
+    };
     let mut tell = |done, total| {
         told.push((done, total));
         true
@@ -151,38 +226,90 @@ fn progress_ends_at_all_frames() {
     measure(&fake, &pvs(), &views, &Options::default(), &mut tell).unwrap();
     assert_eq!(told.last(), Some(&(70, 70)));
     assert!(told.is_sorted() && told.len() > 1, "{told:?}");
-    let stopped = measure(&fake, &pvs(), &views, &Options::default(), &mut |_, _| false).unwrap_err();
-    assert!(matches!(stopped, MeasureError::Stopped { done: 1..70, total: 70 }), "{stopped}");
+    let stopped = measure(&fake, &pvs(), &views, &Options::default(), &mut |_, _| {
+        false
+    })
+    .unwrap_err();
+    assert!(
+        matches!(
+            stopped,
+            MeasureError::Stopped {
+                done: 1..70,
+                total: 70
+            }
+        ),
+        "{stopped}"
+    );
 }
 
 #[test]
 fn what_cannot_be_measured_is_refused() {
-    let one =
-        |x: f32| Viewpoints { points: vec![Vec3::new(x, 0.5, 0.5)], weights: Vec::new(), is_path: false };
+    let one = |x: f32| Viewpoints {
+        points: vec![Vec3::new(x, 0.5, 0.5)],
+        weights: Vec::new(),
+        is_path: false,
+    };
     let go = |ids: Vec<u32>, views: &Viewpoints| {
         let fake = Fake(BTreeMap::from([(0, ids)]));
         measure(&fake, &pvs(), views, &Options::default(), &mut |_, _| true).unwrap_err()
     };
-    assert!(matches!(go(image(&[]), &one(-1.0)), MeasureError::Outside { frame: 0, .. }));
-    assert!(matches!(go(image(&[]), &one(7.0)), MeasureError::Backend(_)));
-    assert!(matches!(go(image(&[(3, 20)]), &one(0.5)), MeasureError::OtherScene { id: 20, triangles: 20 }));
-    assert!(matches!(go(vec![0; 7], &one(0.5)), MeasureError::ImageSize { pixels: 7, .. }));
-    let none = Viewpoints { points: vec![], weights: Vec::new(), is_path: false };
+    assert!(matches!(
+        go(image(&[]), &one(-1.0)),
+        MeasureError::Outside { frame: 0, .. }
+    ));
+    assert!(matches!(
+        go(image(&[]), &one(7.0)),
+        MeasureError::Backend(_)
+    ));
+    assert!(matches!(
+        go(image(&[(3, 20)]), &one(0.5)),
+        MeasureError::OtherScene {
+            id: 20,
+            triangles: 20
+        }
+    ));
+    assert!(matches!(
+        go(vec![0; 7], &one(0.5)),
+        MeasureError::ImageSize { pixels: 7, .. }
+    ));
+    let none = Viewpoints {
+        points: vec![],
+        weights: Vec::new(),
+        is_path: false,
+    };
     assert!(matches!(go(image(&[]), &none), MeasureError::NoViewpoints));
 }
 
 #[test]
 fn images_show_seen_green_wrong_red_and_sky_black() {
     let dir = tempfile::tempdir().unwrap();
-    let options =
-        Options { images_dir: Some(dir.path().join("new/images")), turntable: Some(1), images: 1, worst: 1 };
-    let report =
-        run(vec![image(&[(at(0, 0, 0), 10), (at(3, 0, 0), 10), (at(3, 1, 0), 3)])], false, &options).unwrap();
+    let options = Options {
+        images_dir: Some(dir.path().join("new/images")),
+        turntable: Some(1),
+        images: 1,
+        worst: 1,
+    };
+    let report = run(
+        vec![image(&[
+            (at(0, 0, 0), 10),
+            (at(3, 0, 0), 10),
+            (at(3, 1, 0), 3),
+        ])],
+        false,
+        &options,
+    )
+    .unwrap();
     let path = report.worst[0].image.as_ref().unwrap();
-    assert!(path.ends_with("new/images/worst_01_frame_000000.png"), "{}", path.display());
+    assert!(
+        path.ends_with("new/images/worst_01_frame_000000.png"),
+        "{}",
+        path.display()
+    );
     // One turn around the viewpoint, as an animation.
     let film = std::fs::File::open(dir.path().join("new/images/worst_turntable.png")).unwrap();
-    let film = png::Decoder::new(std::io::BufReader::new(film)).read_info().unwrap();
+    let film = png::Decoder::new(std::io::BufReader::new(film))
+        .read_info()
+        .unwrap();
     assert_eq!(film.info().animation_control().unwrap().num_frames, 48);
 
     let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
@@ -200,7 +327,11 @@ fn images_show_seen_green_wrong_red_and_sky_black() {
         })
     };
     // Face 0 (+x) is above left, mirrored: its pixel (0, 0) is at the lower right.
-    assert!(is(pixel(N - 1, N - 1), images::WRONG), "{:?}", pixel(N - 1, N - 1));
+    assert!(
+        is(pixel(N - 1, N - 1), images::WRONG),
+        "{:?}",
+        pixel(N - 1, N - 1)
+    );
     assert!(is(pixel(0, 0), images::SEEN), "{:?}", pixel(0, 0));
     // Face 3 (−y) is below in the middle, not mirrored: its pixel (0, 0) is at the lower left.
     assert!(is(pixel(N, 2 * N - 1), images::WRONG));

@@ -60,15 +60,24 @@ impl CellStats {
     /// The bound on the fraction of missed sight lines, with confidence 1 − [`ALPHA`]; `None` when there was
     /// no look.
     pub fn bound(&self) -> Option<f64> {
-        (self.bound_lines > 0)
-            .then(|| upper_bound(self.bound_misses, self.bound_lines, alpha_of(self.bound_look)))
+        (self.bound_lines > 0).then(|| {
+            upper_bound(
+                self.bound_misses,
+                self.bound_lines,
+                alpha_of(self.bound_look),
+            )
+        })
     }
 
     /// The bound on the fraction of sight lines that cross a cell which is no pair with this one, with the
     /// same confidence; `None` when there was no look.
     pub fn cell_bound(&self) -> Option<f64> {
         (self.bound_cell_lines > 0).then(|| {
-            upper_bound(self.bound_cell_misses, self.bound_cell_lines, alpha_of(self.bound_cell_look))
+            upper_bound(
+                self.bound_cell_misses,
+                self.bound_cell_lines,
+                alpha_of(self.bound_cell_look),
+            )
         })
     }
 }

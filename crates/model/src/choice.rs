@@ -59,7 +59,11 @@ pub struct UnknownChoice {
 
 impl UnknownChoice {
     fn new<C: Choice>(given: String) -> Self {
-        Self { parameter: C::PARAMETER, given, names: C::ALL.iter().map(|c| c.name()).collect() }
+        Self {
+            parameter: C::PARAMETER,
+            given,
+            names: C::ALL.iter().map(|c| c.name()).collect(),
+        }
     }
 }
 
@@ -239,7 +243,10 @@ mod tests {
             assert!(!choice.about().is_empty());
         }
         let unknown = C::from_wire(99).unwrap_err().to_string();
-        assert!(unknown.contains(C::PARAMETER) && unknown.contains(C::ALL[0].name()), "{unknown}");
+        assert!(
+            unknown.contains(C::PARAMETER) && unknown.contains(C::ALL[0].name()),
+            "{unknown}"
+        );
         assert!(C::from_name("nonsense").is_err());
     }
 

@@ -18,7 +18,9 @@ const AROUND: usize = 16 + 16;
 
 /// Answers that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the openness of receivers cannot be read: {0}; it was damaged or written by another version")]
+#[error(
+    "the openness of receivers cannot be read: {0}; it was damaged or written by another version"
+)]
 pub struct OpennessError(&'static str);
 
 /// The answers of some receivers.
@@ -48,7 +50,9 @@ impl Openness {
         varint::write(&mut raw, self.numbers.into());
         varint::write(&mut raw, self.points() as u64);
         raw.extend_from_slice(&self.bound.to_le_bytes());
-        self.values.iter().for_each(|value| raw.extend_from_slice(&value.to_le_bytes()));
+        self.values
+            .iter()
+            .for_each(|value| raw.extend_from_slice(&value.to_le_bytes()));
         zstd::stream::encode_all(raw.as_slice(), LEVEL)
     }
 
@@ -72,9 +76,13 @@ impl Openness {
         let has = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
         let of = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
         if (has, of) != (numbers.into(), points.into()) {
-            return Err(OpennessError("it is of other receivers than the tile's, or of other lights"));
+            return Err(OpennessError(
+                "it is of other receivers than the tile's, or of other lights",
+            ));
         }
-        let (bound, rest) = rest.split_first_chunk().ok_or(OpennessError("it is cut short"))?;
+        let (bound, rest) = rest
+            .split_first_chunk()
+            .ok_or(OpennessError("it is cut short"))?;
         let bound = f64::from_le_bytes(*bound);
         if !(bound >= 0.0 && bound.is_finite()) {
             return Err(OpennessError("its bound is none"));
@@ -83,7 +91,11 @@ impl Openness {
         if !values.iter().all(|value| (0.0..=1.0).contains(value)) {
             return Err(OpennessError("a number of it is not between 0 and 1"));
         }
-        Ok(Self { numbers, values, bound })
+        Ok(Self {
+            numbers,
+            values,
+            bound,
+        })
     }
 
     /// Reads the result of a job.
@@ -92,18 +104,30 @@ impl Openness {
     /// [`OpennessError`] saying what is wrong.
     pub fn of_result(bytes: &[u8]) -> Result<Self, OpennessError> {
         let cut = OpennessError("it is cut short");
-        let rest = bytes.strip_prefix(MAGIC).ok_or(OpennessError("it does not begin as a result does"))?;
+        let rest = bytes
+            .strip_prefix(MAGIC)
+            .ok_or(OpennessError("it does not begin as a result does"))?;
         let ([a, b, c, d, e, f, g, h], rest) = rest.split_first_chunk().ok_or(cut.clone())?;
-        let (numbers, points) = (u32::from_le_bytes([*a, *b, *c, *d]), u32::from_le_bytes([*e, *f, *g, *h]));
+        let (numbers, points) = (
+            u32::from_le_bytes([*a, *b, *c, *d]),
+            u32::from_le_bytes([*e, *f, *g, *h]),
+        );
         if !(1..=MOST_NUMBERS).contains(&numbers) {
             return Err(OpennessError("it has another number of lights than can be"));
         }
         let (values, end) = rest.split_last_chunk::<16>().ok_or(cut)?;
         let (bound, missing) = end.split_at(8);
         let eight = |bytes: &[u8]| bytes.try_into().map_or([0; 8], |bytes| bytes);
-        let (bound, missing) = (f64::from_le_bytes(eight(bound)), u64::from_le_bytes(eight(missing)));
+        let (bound, missing) = (
+            f64::from_le_bytes(eight(bound)),
+            u64::from_le_bytes(eight(missing)),
+        );
         let values = floats(values, (points as usize).saturating_mul(numbers as usize))?;
-        let openness = Self { numbers, values, bound };
+        let openness = Self {
+            numbers,
+            values,
+            bound,
+        };
         let is_right = |value: &f32| value.is_nan() || (0.0..=1.0).contains(value);
         if !(openness.values.iter().all(is_right) && bound >= 0.0 && bound.is_finite()) {
             return Err(OpennessError("a number of it is not between 0 and 1"));
@@ -116,17 +140,24 @@ impl Openness {
 
     /// Receivers without an answer, because their tile was given up or is not done.
     pub fn missing(&self) -> u64 {
-        self.values.chunks(self.numbers.max(1) as usize).filter(|v| v.iter().any(|x| x.is_nan())).count()
-            as u64
+        self.values
+            .chunks(self.numbers.max(1) as usize)
+            .filter(|v| v.iter().any(|x| x.is_nan()))
+            .count() as u64
     }
 }
 
 /// As many little-endian floats as are expected, and nothing else.
 fn floats(bytes: &[u8], count: usize) -> Result<Vec<f32>, OpennessError> {
     if Some(bytes.len()) != count.checked_mul(4) {
-        return Err(OpennessError("it has another number of numbers than it announces"));
+        return Err(OpennessError(
+            "it has another number of numbers than it announces",
+        ));
     }
-    Ok(bytes.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+    Ok(bytes
+        .chunks_exact(4)
+        .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect())
 }
 
 /// Writes the result of a job, tile by tile.
@@ -147,7 +178,13 @@ impl<'a, W: Write> ResultWriter<'a, W> {
         out.write_all(MAGIC)?;
         out.write_all(&numbers.to_le_bytes())?;
         out.write_all(&points.to_le_bytes())?;
-        Ok(Self { out, numbers, written: 0, missing: 0, bound: 0.0 })
+        Ok(Self {
+            out,
+            numbers,
+            written: 0,
+            missing: 0,
+            bound: 0.0,
+        })
     }
 
     /// Writes the answers of the next tile.
@@ -170,7 +207,10 @@ impl<'a, W: Write> ResultWriter<'a, W> {
 
     fn put(&mut self, values: &[f32]) -> Result<(), std::io::Error> {
         self.written += values.len() as u64;
-        let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        let bytes: Vec<u8> = values
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect();
         self.out.write_all(&bytes)
     }
 
@@ -192,8 +232,14 @@ mod tests {
     use proptest::prelude::*;
 
     fn openness(points: u32, numbers: u32) -> Openness {
-        let values = (0..points * numbers).map(|i| (i % 17) as f32 / 16.0).collect();
-        Openness { numbers, values, bound: 1e-12 }
+        let values = (0..points * numbers)
+            .map(|i| (i % 17) as f32 / 16.0)
+            .collect();
+        Openness {
+            numbers,
+            values,
+            bound: 1e-12,
+        }
     }
 
     #[test]
@@ -210,7 +256,9 @@ mod tests {
         let wrong = |change: &dyn Fn(&mut Openness)| {
             let mut tile = openness(4, 2);
             change(&mut tile);
-            Openness::decode(&tile.encode().unwrap(), 4, 2).unwrap_err().to_string()
+            Openness::decode(&tile.encode().unwrap(), 4, 2)
+                .unwrap_err()
+                .to_string()
         };
         for value in [f32::NAN, -0.1, 1.1, f32::INFINITY] {
             assert!(wrong(&|tile| tile.values[3] = value).contains("between 0 and 1"));
@@ -223,7 +271,13 @@ mod tests {
 
     #[test]
     fn a_result_is_its_tiles_one_after_the_other() {
-        let (first, last) = (openness(3, 2), Openness { bound: 1e-9, ..openness(1, 2) });
+        let (first, last) = (
+            openness(3, 2),
+            Openness {
+                bound: 1e-9,
+                ..openness(1, 2)
+            },
+        );
         let mut bytes = Vec::new();
         let mut writer = ResultWriter::begin(&mut bytes, 6, 2).unwrap();
         writer.push(&first).unwrap();
@@ -238,7 +292,12 @@ mod tests {
         assert!(Openness::of_result(&bytes[..bytes.len() - 1]).is_err());
         assert!(Openness::of_result(&[&bytes[..16], &bytes[24..]].concat()).is_err());
         let miscounted = [&bytes[..bytes.len() - 8], &1u64.to_le_bytes()].concat();
-        assert!(Openness::of_result(&miscounted).unwrap_err().to_string().contains("no answer"));
+        assert!(
+            Openness::of_result(&miscounted)
+                .unwrap_err()
+                .to_string()
+                .contains("no answer")
+        );
     }
 
     proptest! {

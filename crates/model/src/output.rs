@@ -82,7 +82,9 @@ impl CellSet {
     pub fn row(&self) -> [u64; COLUMNS] {
         let mut row = [0; COLUMNS];
         let counts = self.decision.as_ref().map_or(&[][..], |d| &d.counts);
-        let sampled = [u64::from(self.samples)].into_iter().chain(self.stats.numbers());
+        let sampled = [u64::from(self.samples)]
+            .into_iter()
+            .chain(self.stats.numbers());
         for (place, value) in row.iter_mut().zip(sampled.chain(counts.iter().copied())) {
             *place = value;
         }
@@ -158,8 +160,21 @@ impl VisibilitySample {
     /// covers most of them stay.
     #[must_use]
     pub fn with(self, more: impl Iterator<Item = (u32, u32)>) -> Self {
-        let Self { ids, strata, dominant, pixels } = self;
-        let runs = ids.into_iter().zip(strata).chain(more).map(|(id, mask)| (id, mask, 0));
-        Self { dominant, pixels, ..Self::from_runs(runs.collect()) }
+        let Self {
+            ids,
+            strata,
+            dominant,
+            pixels,
+        } = self;
+        let runs = ids
+            .into_iter()
+            .zip(strata)
+            .chain(more)
+            .map(|(id, mask)| (id, mask, 0));
+        Self {
+            dominant,
+            pixels,
+            ..Self::from_runs(runs.collect())
+        }
     }
 }

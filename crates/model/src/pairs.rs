@@ -24,7 +24,11 @@ impl PairTable {
     /// The relation without any pair over at most [`MOST_PAIR_CELLS`] cells.
     pub fn empty(cells: u32) -> Self {
         let words = (cells as usize).div_ceil(64);
-        Self { cells, words, rows: vec![0; words * cells as usize] }
+        Self {
+            cells,
+            words,
+            rows: vec![0; words * cells as usize],
+        }
     }
 
     /// Number of cells.
@@ -51,7 +55,10 @@ impl PairTable {
 
     /// Adds all pairs of another relation over as many cells.
     pub fn extend(&mut self, other: &Self) {
-        self.rows.iter_mut().zip(&other.rows).for_each(|(a, b)| *a |= b);
+        self.rows
+            .iter_mut()
+            .zip(&other.rows)
+            .for_each(|(a, b)| *a |= b);
     }
 
     /// The cells from `cell` on that are a pair with it, as the boundaries of runs: start, end, start, end.

@@ -6,7 +6,9 @@
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
 
-use crate::choice::{CellToCell, Choice, ErrorMeasure, Granularity, Sampler, SupersetChoice, UnknownChoice};
+use crate::choice::{
+    CellToCell, Choice, ErrorMeasure, Granularity, Sampler, SupersetChoice, UnknownChoice,
+};
 
 /// Smallest and largest bound on missed sight lines.
 const BOUNDS: (f64, f64) = (1e-5, 1.0);
@@ -191,14 +193,22 @@ impl SamplingParams {
     fn default_for(wire: &v1::Sampling) -> Self {
         let usual = Self::default();
         // A bound outside its range must not be reported as a target.
-        let bound = wire.max_error.filter(|bound| (BOUNDS.0..=BOUNDS.1).contains(bound));
-        Self { target_error: bound.unwrap_or(usual.target_error), ..usual }
+        let bound = wire
+            .max_error
+            .filter(|bound| (BOUNDS.0..=BOUNDS.1).contains(bound));
+        Self {
+            target_error: bound.unwrap_or(usual.target_error),
+            ..usual
+        }
     }
 }
 
 /// A parameter outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{} is {value}, which is not between {least} and {most}; choose a value in that range", flag(name))]
+#[error(
+    "{} is {value}, which is not between {least} and {most}; choose a value in that range",
+    flag(name)
+)]
 pub struct ParamsError {
     /// The field of [`SamplingParams`].
     pub name: &'static str,
@@ -253,24 +263,53 @@ mod tests {
     #[test]
     fn absent_fields_have_defaults() {
         let absent = |wire: v1::Sampling| SamplingParams::from_proto(&wire);
-        assert_eq!(absent(v1::Sampling::default()), Ok(SamplingParams::default()));
-        let bounded = v1::Sampling { max_error: Some(0.01), ..v1::Sampling::default() };
-        let expected =
-            SamplingParams { max_error: Some(0.01), target_error: 0.01, ..SamplingParams::default() };
+        assert_eq!(
+            absent(v1::Sampling::default()),
+            Ok(SamplingParams::default())
+        );
+        let bounded = v1::Sampling {
+            max_error: Some(0.01),
+            ..v1::Sampling::default()
+        };
+        let expected = SamplingParams {
+            max_error: Some(0.01),
+            target_error: 0.01,
+            ..SamplingParams::default()
+        };
         assert_eq!(absent(bounded), Ok(expected));
         // The key is made of the message, so that −0 must not differ from 0.
-        let negative = v1::Sampling { error_threshold: Some(-0.0), ..v1::Sampling::default() };
+        let negative = v1::Sampling {
+            error_threshold: Some(-0.0),
+            ..v1::Sampling::default()
+        };
         assert!(absent(negative).unwrap().error_threshold.is_sign_positive());
     }
 
     #[test]
     fn a_value_outside_its_range_is_refused_with_the_flag_and_the_range() {
-        let wrong = SamplingParams { error_threshold: f64::NAN, ..SamplingParams::default() };
+        let wrong = SamplingParams {
+            error_threshold: f64::NAN,
+            ..SamplingParams::default()
+        };
         let said = wrong.check().unwrap_err().to_string();
-        assert!(said.starts_with("error-threshold is NaN, which is not between 0 and 1;"), "{said}");
-        let wrong = SamplingParams { max_error: Some(0.0), ..SamplingParams::default() };
+        assert!(
+            said.starts_with("error-threshold is NaN, which is not between 0 and 1;"),
+            "{said}"
+        );
+        let wrong = SamplingParams {
+            max_error: Some(0.0),
+            ..SamplingParams::default()
+        };
         assert_eq!(wrong.check().unwrap_err().name, "max_error");
-        let unknown = v1::Sampling { sampler: Some(9), ..SamplingParams::default().to_proto() };
-        assert!(SamplingParams::from_proto(&unknown).unwrap_err().to_string().contains("sampler"));
+        let unknown = v1::Sampling {
+            sampler: Some(9),
+            ..SamplingParams::default().to_proto()
+        };
+        assert!(
+            SamplingParams::from_proto(&unknown)
+                .unwrap_err()
+                .to_string()
+                .contains("sampler")
+        );
     }
 }

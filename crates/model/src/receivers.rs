@@ -131,17 +131,25 @@ impl Receivers {
     /// # Errors
     /// [`ReceiversError`] when [`Self::decode`] would refuse the bytes.
     pub fn encode(&self) -> Result<Vec<u8>, ReceiversError> {
-        let Asked { distance, falloff, lights } = &self.asked;
+        let Asked {
+            distance,
+            falloff,
+            lights,
+        } = &self.asked;
         let sum: u64 = self.blocks.iter().map(|n| u64::from(*n)).sum();
         if sum != self.receivers.len() as u64 {
-            return Err(ReceiversError::Job("blocks have another number of receivers than there are"));
+            return Err(ReceiversError::Job(
+                "blocks have another number of receivers than there are",
+            ));
         }
         if sum.saturating_mul(RECEIVER as u64) > MOST_BYTES {
             return Err(ReceiversError::Job(TOO_MANY));
         }
-        let mut out = Vec::with_capacity(64 + self.receivers.len() * RECEIVER + self.blocks.len() * 4);
+        let mut out =
+            Vec::with_capacity(64 + self.receivers.len() * RECEIVER + self.blocks.len() * 4);
         let put = |out: &mut Vec<u8>, n: usize| out.extend_from_slice(&(n as u32).to_le_bytes());
-        let put_point = |out: &mut Vec<u8>, p: &[f64; 3]| p.iter().for_each(|x| out.extend(x.to_le_bytes()));
+        let put_point =
+            |out: &mut Vec<u8>, p: &[f64; 3]| p.iter().for_each(|x| out.extend(x.to_le_bytes()));
         out.extend_from_slice(MAGIC);
         out.extend_from_slice(&distance.to_le_bytes());
         out.push(match falloff {
@@ -178,9 +186,16 @@ impl Receivers {
         let beyond = |r: &Receiver| r.triangle.is_some_and(|t| t >= triangles);
         if let Some(at) = receivers.iter().position(beyond) {
             let what = "the scene has no such triangle; send the scene that the receivers are for";
-            return Err(ReceiversError::Receiver { at: at as u32, what });
+            return Err(ReceiversError::Receiver {
+                at: at as u32,
+                what,
+            });
         }
-        Ok(Self { asked, blocks, receivers })
+        Ok(Self {
+            asked,
+            blocks,
+            receivers,
+        })
     }
 
     /// The blocks of a tile: the receivers of each; `None` when there is no such tile.
@@ -221,7 +236,12 @@ pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
     }
     // The last tile is empty where a block of the one before it holds its receivers.
     starts.resize(tiles(points) as usize + 1, points);
-    Ok(Facts { points, lights: asked.lights.len() as u32, starts, greatest_triangle: greatest })
+    Ok(Facts {
+        points,
+        lights: asked.lights.len() as u32,
+        starts,
+        greatest_triangle: greatest,
+    })
 }
 
 const TOO_MANY: &str = "receivers take more than 2 GiB; use larger texels, or several jobs";
@@ -231,8 +251,10 @@ struct Reader<'a>(&'a [u8]);
 
 impl Reader<'_> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], ReceiversError> {
-        let (taken, rest) =
-            self.0.split_first_chunk().ok_or(ReceiversError::Damaged("they are cut short"))?;
+        let (taken, rest) = self
+            .0
+            .split_first_chunk()
+            .ok_or(ReceiversError::Damaged("they are cut short"))?;
         self.0 = rest;
         Ok(*taken)
     }
@@ -253,7 +275,9 @@ impl Reader<'_> {
     fn count(&mut self, bytes: usize) -> Result<usize, ReceiversError> {
         let n = self.u32()? as usize;
         let there = n <= self.0.len() / bytes;
-        there.then_some(n).ok_or(ReceiversError::Damaged("they announce more than there is"))
+        there
+            .then_some(n)
+            .ok_or(ReceiversError::Damaged("they announce more than there is"))
     }
 }
 
@@ -262,7 +286,10 @@ fn is_finite(p: &[f64; 3]) -> bool {
 }
 
 /// Reads receivers; `take` gets each one, and the number of all.
-fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, Vec<u32>), ReceiversError> {
+fn read(
+    bytes: &[u8],
+    take: &mut dyn FnMut(Receiver, usize),
+) -> Result<(Asked, Vec<u32>), ReceiversError> {
     use ReceiversError::{Damaged, Job};
     if bytes.len() as u64 > MOST_BYTES {
         return Err(Job(TOO_MANY));
@@ -274,7 +301,9 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
     let distance = r.f64()?;
     // Not a number is refused, too.
     if distance.is_nan() || distance <= 0.0 {
-        return Err(Job("distance is not above 0; give a length in the scene's units, or inf"));
+        return Err(Job(
+            "distance is not above 0; give a length in the scene's units, or inf",
+        ));
     }
     let [falloff] = r.take()?;
     let falloff = match falloff {
@@ -282,7 +311,11 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
         1 => Falloff::Sqrt,
         _ => return Err(Damaged("their falloff is unknown")),
     };
-    let asked = Asked { distance, falloff, lights: lights(&mut r)? };
+    let asked = Asked {
+        distance,
+        falloff,
+        lights: lights(&mut r)?,
+    };
     computed(&asked)?;
     let count = r.count(4)?;
     let blocks = (0..count).map(|_| r.u32()).collect::<Result<Vec<_>, _>>()?;
@@ -294,7 +327,9 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
         return Err(Job("receivers are none; give at least one"));
     }
     if all.checked_mul(RECEIVER as u64) != Some(r.0.len() as u64) {
-        return Err(Damaged("their blocks have another number of receivers than there are"));
+        return Err(Damaged(
+            "their blocks have another number of receivers than there are",
+        ));
     }
     // At most 2 GiB, so their number is far below 2³².
     for at in 0..all as u32 {
@@ -302,7 +337,9 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
         let wrong = |what| Err(ReceiversError::Receiver { at, what });
         // Scenes are in single precision.
         if !is_finite(&point) || point.iter().any(|x| x.abs() > f64::from(f32::MAX)) {
-            return wrong("its point has a coordinate that is not a finite number of at most 3.4e38");
+            return wrong(
+                "its point has a coordinate that is not a finite number of at most 3.4e38",
+            );
         }
         if !is_finite(&normal) {
             return wrong("its normal has a coordinate that is not a finite number");
@@ -313,7 +350,14 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
             return wrong("its normal has no direction; give one of a length near 1");
         }
         let triangle = Some(triangle).filter(|t| *t != NO_TRIANGLE);
-        take(Receiver { point, normal, triangle }, all as usize);
+        take(
+            Receiver {
+                point,
+                normal,
+                triangle,
+            },
+            all as usize,
+        );
     }
     Ok((asked, blocks))
 }
@@ -321,7 +365,9 @@ fn read(bytes: &[u8], take: &mut dyn FnMut(Receiver, usize)) -> Result<(Asked, V
 fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
     let count = r.count(4)? as u32;
     if count > MOST_LIGHTS {
-        return Err(ReceiversError::Job("lights are more than 64; use several jobs"));
+        return Err(ReceiversError::Job(
+            "lights are more than 64; use several jobs",
+        ));
     }
     let mut lights = Vec::with_capacity(count as usize);
     for at in 0..count {
@@ -332,7 +378,9 @@ fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
                 "it has {corners} corners; give a convex polygon of 3 to {MOST_CORNERS}"
             )));
         }
-        let light = (0..corners).map(|_| r.point()).collect::<Result<Vec<_>, _>>()?;
+        let light = (0..corners)
+            .map(|_| r.point())
+            .collect::<Result<Vec<_>, _>>()?;
         // As the solver has it: it would refuse each tile of a job with another light.
         Convex::new(&light).map_err(|e| wrong(e.to_string()))?;
         lights.push(light);
@@ -362,8 +410,16 @@ mod tests {
             normal: [0.0, 0.0, 2.0],
             triangle: (!i.is_multiple_of(3)).then_some(i % 7),
         };
-        let asked = Asked { distance: 2.0, falloff: Falloff::None, lights: Vec::new() };
-        Receivers { asked, blocks: blocks.to_vec(), receivers: (0..all).map(receiver).collect() }
+        let asked = Asked {
+            distance: 2.0,
+            falloff: Falloff::None,
+            lights: Vec::new(),
+        };
+        Receivers {
+            asked,
+            blocks: blocks.to_vec(),
+            receivers: (0..all).map(receiver).collect(),
+        }
     }
 
     /// The reason why changed bytes are refused.
@@ -375,7 +431,13 @@ mod tests {
 
     #[test]
     fn receivers_come_back_and_tiles_hold_every_block_once() {
-        for blocks in [&[1][..], &[64; 200], &[4095, 2, 4096, 4096, 1], &[4090, 100], &[4096, 4096]] {
+        for blocks in [
+            &[1][..],
+            &[64; 200],
+            &[4095, 2, 4096, 4096, 1],
+            &[4090, 100],
+            &[4096, 4096],
+        ] {
             let receivers = of_blocks(blocks);
             let bytes = receivers.encode().unwrap();
             assert_eq!(Receivers::decode(&bytes, 7).unwrap(), receivers);
@@ -386,7 +448,11 @@ mod tests {
             for tile in 0..tiles {
                 let of = receivers.of_tile(tile).unwrap();
                 let here: usize = of.iter().map(|block| block.len()).sum();
-                assert_eq!(facts.receivers_of(tile), Some(here as u32), "{blocks:?}, tile {tile}");
+                assert_eq!(
+                    facts.receivers_of(tile),
+                    Some(here as u32),
+                    "{blocks:?}, tile {tile}"
+                );
                 again.extend(of.concat());
             }
             assert_eq!(again, receivers.receivers);
@@ -399,7 +465,10 @@ mod tests {
         let bytes = of_blocks(&[5]).encode().unwrap();
         assert_eq!(check(&bytes).unwrap().greatest_triangle, Some(4));
         let unknown = Receivers::decode(&bytes, 4).unwrap_err().to_string();
-        assert!(unknown.starts_with("receiver 4 of the job") && unknown.contains("triangle"), "{unknown}");
+        assert!(
+            unknown.starts_with("receiver 4 of the job") && unknown.contains("triangle"),
+            "{unknown}"
+        );
         for distance in [0.0, -1.0, f64::NAN] {
             assert!(refused(|r| r.asked.distance = distance).contains("distance is not above 0"));
         }
@@ -408,21 +477,43 @@ mod tests {
         }
         assert!(refused(|r| r.receivers[2].normal[0] = f64::NAN).contains("receiver 2"));
         for length in [0.0, 1e-200, 1e200] {
-            assert!(refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction"));
+            assert!(
+                refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction")
+            );
         }
-        let darkens = Asked { distance: f64::INFINITY, falloff: Falloff::Sqrt, lights: Vec::new() };
+        let darkens = Asked {
+            distance: f64::INFINITY,
+            falloff: Falloff::Sqrt,
+            lights: Vec::new(),
+        };
         assert!(refused(|r| r.asked = darkens.clone()).contains("falloff"));
         assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
         assert!(refused(|r| r.blocks = vec![3, 0]).contains("block"));
         assert!(refused(|r| r.blocks = vec![4]).contains("blocks"));
         assert!(refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("none"));
-        let infinite = Asked { distance: f64::INFINITY, falloff: Falloff::None, lights: Vec::new() };
-        assert!(Receivers { asked: infinite, ..of_blocks(&[1]) }.encode().is_ok());
+        let infinite = Asked {
+            distance: f64::INFINITY,
+            falloff: Falloff::None,
+            lights: Vec::new(),
+        };
+        assert!(
+            Receivers {
+                asked: infinite,
+                ..of_blocks(&[1])
+            }
+            .encode()
+            .is_ok()
+        );
     }
 
     #[test]
     fn a_light_that_is_no_convex_polygon_is_refused_by_its_number() {
-        let square = vec![[0.0, 0.0, 9.0], [4.0, 0.0, 9.0], [4.0, 4.0, 9.0], [0.0, 4.0, 9.0]];
+        let square = vec![
+            [0.0, 0.0, 9.0],
+            [4.0, 0.0, 9.0],
+            [4.0, 4.0, 9.0],
+            [0.0, 4.0, 9.0],
+        ];
         let with = |change: &dyn Fn(&mut Vec<[f64; 3]>)| {
             let mut light = square.clone();
             change(&mut light);
@@ -431,20 +522,47 @@ mod tests {
         let cases: [(&str, String); 8] = [
             ("it has 2 corners; give", with(&|l| l.truncate(2))),
             ("it has 65 corners; give", with(&|l| l.resize(65, [1.0; 3]))),
-            ("corner 1 is not finite; give", with(&|l| l[1][0] = f64::NAN)),
+            (
+                "corner 1 is not finite; give",
+                with(&|l| l[1][0] = f64::NAN),
+            ),
             ("corner 2 is not finite; give", with(&|l| l[2][2] = 1e39)),
-            ("it has no area", with(&|l| l.iter_mut().for_each(|c| c[1] = 0.0))),
-            ("is not in the plane of the others; divide", with(&|l| l[3][2] = 8.0)),
-            ("it is not convex at corner 2; divide", with(&|l| l[2] = [1.0, 1.0, 9.0])),
+            (
+                "it has no area",
+                with(&|l| l.iter_mut().for_each(|c| c[1] = 0.0)),
+            ),
+            (
+                "is not in the plane of the others; divide",
+                with(&|l| l[3][2] = 8.0),
+            ),
+            (
+                "it is not convex at corner 2; divide",
+                with(&|l| l[2] = [1.0, 1.0, 9.0]),
+            ),
             // A bow tie.
-            ("it is not convex at corner", with(&|l| l[3] = [5.0, 2.0, 9.0])),
+            (
+                "it is not convex at corner",
+                with(&|l| l[3] = [5.0, 2.0, 9.0]),
+            ),
         ];
         for (what, said) in &cases {
-            assert!(said.starts_with("light 1 of the job") && said.contains(what), "{what}: {said}");
+            assert!(
+                said.starts_with("light 1 of the job") && said.contains(what),
+                "{what}: {said}"
+            );
         }
-        let asked = Asked { lights: vec![square], ..of_blocks(&[1]).asked };
-        let lit = Receivers { asked, ..of_blocks(&[1]) };
-        assert_eq!(Receivers::decode(&lit.encode().unwrap(), 7).as_ref(), Ok(&lit));
+        let asked = Asked {
+            lights: vec![square],
+            ..of_blocks(&[1]).asked
+        };
+        let lit = Receivers {
+            asked,
+            ..of_blocks(&[1])
+        };
+        assert_eq!(
+            Receivers::decode(&lit.encode().unwrap(), 7).as_ref(),
+            Ok(&lit)
+        );
     }
 
     proptest! {

@@ -89,7 +89,10 @@ pub fn default_block_cells(triangles: u32, sampling: &SamplingParams, method: Me
         }
         Sampler::Guided | Sampler::Cubes => 0.0,
     };
-    HEAVY.iter().find(|(least, _)| work >= *least).map_or(USUAL_BLOCK_CELLS, |(_, cells)| *cells)
+    HEAVY
+        .iter()
+        .find(|(least, _)| work >= *least)
+        .map_or(USUAL_BLOCK_CELLS, |(_, cells)| *cells)
 }
 
 /// The grid whose cells marks of viewpoints are for: the boxes of a tree are one row. `None` for an adaptive
@@ -161,13 +164,19 @@ impl JobSpec {
         }
         if let Division::Adaptive { max_depth, .. } = self.division {
             if sampler == Sampler::Guided {
-                return refuse("sampler", "an adaptive division is sampled with lines or cubes");
+                return refuse(
+                    "sampler",
+                    "an adaptive division is sampled with lines or cubes",
+                );
             }
             if sampler == Sampler::Lines && max_depth > MOST_LINE_DEPTH {
                 return refuse("max-depth", "trees deeper than 12 are sampled with cubes");
             }
             if self.sampling.max_error.is_some() {
-                return refuse("max-error", "only the cells of a grid are refined to a bound");
+                return refuse(
+                    "max-error",
+                    "only the cells of a grid are refined to a bound",
+                );
             }
         }
         if let Division::Tree(_) = self.division {
@@ -177,7 +186,10 @@ impl JobSpec {
             return refuse("max-error", "only the sampler lines refines to a bound");
         }
         if self.certificates && self.method == Method::Aggressive {
-            return refuse("certificates", "sampling alone has none; give the method exact or verified");
+            return refuse(
+                "certificates",
+                "sampling alone has none; give the method exact or verified",
+            );
         }
         if self.time_budget_ms > MAX_BUDGET_MS {
             return refuse("time-budget", "give at most ten years");
@@ -186,37 +198,59 @@ impl JobSpec {
             return refuse("time-budget", "the sampler cubes cannot stop early");
         }
         if self.sampling.min_share.is_some() && sampler != Sampler::Lines {
-            return refuse("min-share", "only the sampler lines searches until items of a share are found");
+            return refuse(
+                "min-share",
+                "only the sampler lines searches until items of a share are found",
+            );
         }
         if self.sampling.min_share.is_some() && self.sampling.max_error.is_some() {
-            return refuse("min-share", "give either a least share of items or max-error");
+            return refuse(
+                "min-share",
+                "give either a least share of items or max-error",
+            );
         }
         if self.sampling.far.is_some() && self.certificates {
-            return refuse("far", "certificates prove that triangles are hidden, not that they are far");
+            return refuse(
+                "far",
+                "certificates prove that triangles are hidden, not that they are far",
+            );
         }
-        if self.sampling.granularity != Granularity::Triangles && self.method != Method::Aggressive {
+        if self.sampling.granularity != Granularity::Triangles && self.method != Method::Aggressive
+        {
             return refuse(
                 "granularity",
                 "exact methods decide triangles; `dump --items objects` lists the objects of their sets",
             );
         }
         if (self.method == Method::Portals) != (self.backend == BackendChoice::None) {
-            return refuse("backend", "give none with the method portals, and with no other method");
+            return refuse(
+                "backend",
+                "give none with the method portals, and with no other method",
+            );
         }
         if self.method == Method::Portals {
             self.check_portals()?;
         }
         let region = self.viewpoints.as_ref().and_then(|marks| marks.region());
         if region.is_some() && self.certificates {
-            return refuse("viewpoints", "certificates are about whole cells; leave out the region or them");
+            return refuse(
+                "viewpoints",
+                "certificates are about whole cells; leave out the region or them",
+            );
         }
         if region.is_some() && sampler == Sampler::Cubes {
-            return refuse("viewpoints", "visibility cubes know no region; leave it out, or sample lines");
+            return refuse(
+                "viewpoints",
+                "visibility cubes know no region; leave it out, or sample lines",
+            );
         }
         self.lattice()?;
         if let Some(marks) = &self.viewpoints {
             if marked_cells(&self.division) != Some(marks.cells()) {
-                return refuse("viewpoints", "give them for the cells of the job's grid, or its boxes");
+                return refuse(
+                    "viewpoints",
+                    "give them for the cells of the job's grid, or its boxes",
+                );
             }
             if marks.encode().len() > viewpoints::MOST_BYTES {
                 return refuse(
@@ -225,14 +259,22 @@ impl JobSpec {
                 );
             }
         }
-        if self.sampling.cell_to_cell == CellToCell::On && self.pair_grid_cells() > MOST_PAIR_CELLS {
-            return refuse("cell-to-cell", "at most 32768 cells can have it; give fewer cells, or off");
+        if self.sampling.cell_to_cell == CellToCell::On && self.pair_grid_cells() > MOST_PAIR_CELLS
+        {
+            return refuse(
+                "cell-to-cell",
+                "at most 32768 cells can have it; give fewer cells, or off",
+            );
         }
         // The lattice exists, so the product does not overflow.
         if let Division::Grid(cells) = self.division
-            && cells.map(u64::from).iter().product::<u64>() / u64::from(self.block_cells) > MOST_BLOCKS
+            && cells.map(u64::from).iter().product::<u64>() / u64::from(self.block_cells)
+                > MOST_BLOCKS
         {
-            return refuse("block-cells", "so few cells a tile make too many tiles; give more cells a tile");
+            return refuse(
+                "block-cells",
+                "so few cells a tile make too many tiles; give more cells a tile",
+            );
         }
         Ok(())
     }
@@ -241,13 +283,22 @@ impl JobSpec {
     fn check_boxes(&self) -> Result<(), SpecError> {
         let refuse = |field, remedy| Err(SpecError::Field(field, remedy));
         if self.sampling.sampler == Sampler::Cubes {
-            return refuse("sampler", "visibility cubes are shared by the cells of a grid; sample lines");
+            return refuse(
+                "sampler",
+                "visibility cubes are shared by the cells of a grid; sample lines",
+            );
         }
         if self.certificates {
-            return refuse("certificates", "they are about closed cells, and boxes along walls are open");
+            return refuse(
+                "certificates",
+                "they are about closed cells, and boxes along walls are open",
+            );
         }
         if self.sampling.cell_to_cell == CellToCell::On {
-            return refuse("cell-to-cell", "only cells of equal size say which see which; give a grid");
+            return refuse(
+                "cell-to-cell",
+                "only cells of equal size say which see which; give a grid",
+            );
         }
         Ok(())
     }
@@ -262,19 +313,31 @@ impl JobSpec {
             );
         }
         if self.certificates {
-            return refuse("certificates", "what portals hide has none; give the method exact or verified");
+            return refuse(
+                "certificates",
+                "what portals hide has none; give the method exact or verified",
+            );
         }
         if self.sampling.sampler != Sampler::Lines
             || self.sampling.max_error.is_some()
             || self.sampling.min_share.is_some()
         {
-            return refuse("sampler", "the method portals samples nothing; leave out what is about samples");
+            return refuse(
+                "sampler",
+                "the method portals samples nothing; leave out what is about samples",
+            );
         }
         if self.sampling.contributions {
-            return refuse("contributions", "they are sampled, and the method portals samples nothing");
+            return refuse(
+                "contributions",
+                "they are sampled, and the method portals samples nothing",
+            );
         }
         if self.sampling.cell_to_cell == CellToCell::On {
-            return refuse("cell-to-cell", "the method portals does not say which cells see which");
+            return refuse(
+                "cell-to-cell",
+                "the method portals does not say which cells see which",
+            );
         }
         Ok(())
     }
@@ -284,9 +347,10 @@ impl JobSpec {
     pub fn has_portals(&self) -> bool {
         match self.method {
             Method::Portals => true,
-            Method::Exact | Method::Verified => {
-                self.viewpoints.as_ref().is_some_and(|marks| marks.region().is_some())
-            }
+            Method::Exact | Method::Verified => self
+                .viewpoints
+                .as_ref()
+                .is_some_and(|marks| marks.region().is_some()),
             Method::Aggressive => false,
         }
     }
@@ -307,7 +371,9 @@ impl JobSpec {
     /// or, with deeper trees, several are in one.
     pub fn pair_cells(&self) -> Option<[u32; 3]> {
         let asked = match self.sampling.cell_to_cell {
-            _ if self.method == Method::Portals || matches!(self.division, Division::Tree(_)) => false,
+            _ if self.method == Method::Portals || matches!(self.division, Division::Tree(_)) => {
+                false
+            }
             CellToCell::Auto => self.pair_grid_cells() <= FEW_PAIR_CELLS,
             CellToCell::On => true,
             CellToCell::Off => false,
@@ -333,7 +399,10 @@ impl JobSpec {
                 let mut cells = [1u32; 3];
                 for _ in 0..max_depth.min(MOST_LINE_DEPTH) {
                     let side = |a: usize| size[a] / f64::from(cells[a]);
-                    let axis = (1..3).fold(0, |longest, a| if side(a) > side(longest) { a } else { longest });
+                    let axis = (1..3).fold(
+                        0,
+                        |longest, a| if side(a) > side(longest) { a } else { longest },
+                    );
                     cells[axis] *= 2;
                 }
                 cells
@@ -343,8 +412,12 @@ impl JobSpec {
 
     /// The marked parts of a cell that is known before the bake: a bit for each part where viewpoints are.
     pub fn marks(&self, lattice: &Lattice, cell: &CellBox) -> u64 {
-        let Some(marks) = &self.viewpoints else { return u64::MAX };
-        self.division.number(lattice, cell).map_or(u64::MAX, |number| marks.of(number))
+        let Some(marks) = &self.viewpoints else {
+            return u64::MAX;
+        };
+        self.division
+            .number(lattice, cell)
+            .map_or(u64::MAX, |number| marks.of(number))
     }
 
     /// The lattice of sample positions.
@@ -422,14 +495,26 @@ mod tests {
         assert_eq!(JobSpec::from_proto(&s.to_proto(), None).unwrap(), s);
         let sampling = s.sampling.clone();
         let others = [
-            JobSpec { scene: [8; 32], ..s.clone() },
             JobSpec {
-                division: Division::Adaptive { budget: 5, max_depth: 6 },
-                sampling: SamplingParams { sampler: Sampler::Cubes, ..sampling.clone() },
+                scene: [8; 32],
+                ..s.clone()
+            },
+            JobSpec {
+                division: Division::Adaptive {
+                    budget: 5,
+                    max_depth: 6,
+                },
+                sampling: SamplingParams {
+                    sampler: Sampler::Cubes,
+                    ..sampling.clone()
+                },
                 block_cells: USUAL_BLOCK_CELLS,
                 ..s.clone()
             },
-            JobSpec { time_budget_ms: 5, ..s.clone() },
+            JobSpec {
+                time_budget_ms: 5,
+                ..s.clone()
+            },
             JobSpec {
                 viewpoints: Some({
                     let mut marks = Viewpoints::none([4, 3, 2]);
@@ -438,43 +523,155 @@ mod tests {
                 }),
                 ..s.clone()
             },
-            JobSpec { up: Some(Up::Y), ..s.clone() },
-            JobSpec { up: Some(Up::Z), ..s.clone() },
             JobSpec {
-                sampling: SamplingParams { granularity: Granularity::Clusters, ..sampling.clone() },
+                up: Some(Up::Y),
                 ..s.clone()
             },
-            JobSpec { sampling: SamplingParams { min_share: Some(0.5), ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { far: Some(9.0), ..sampling.clone() }, ..s.clone() },
             JobSpec {
-                sampling: SamplingParams { cell_to_cell: CellToCell::Off, ..sampling.clone() },
+                up: Some(Up::Z),
                 ..s.clone()
             },
-            JobSpec { sampling: SamplingParams { contributions: true, ..sampling.clone() }, ..s.clone() },
-            JobSpec { block_cells: 65, ..s.clone() },
-            JobSpec { method: Method::Exact, ..s.clone() },
-            JobSpec { method: Method::Exact, certificates: true, ..s.clone() },
-            JobSpec { method: Method::Verified, ..s.clone() },
             JobSpec {
-                sampling: SamplingParams { sampler: Sampler::Guided, ..sampling.clone() },
+                sampling: SamplingParams {
+                    granularity: Granularity::Clusters,
+                    ..sampling.clone()
+                },
                 ..s.clone()
             },
-            JobSpec { sampling: SamplingParams { target_error: 0.01, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { max_error: Some(0.01), ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { rays: 5, ..sampling.clone() }, ..s.clone() },
-            JobSpec { view_box: Aabb::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)), ..s.clone() },
-            JobSpec { backend: BackendChoice::Gpu, ..s.clone() },
-            JobSpec { seed: 4, ..s.clone() },
-            JobSpec { sampling: SamplingParams { resolution: 64, ..sampling.clone() }, ..s.clone() },
             JobSpec {
-                sampling: SamplingParams { measure: ErrorMeasure::Sets, ..sampling.clone() },
+                sampling: SamplingParams {
+                    min_share: Some(0.5),
+                    ..sampling.clone()
+                },
                 ..s.clone()
             },
-            JobSpec { sampling: SamplingParams { error_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { interior_threshold: 0.9, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { min_distance: 0.25, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { solids: false, ..sampling.clone() }, ..s.clone() },
-            JobSpec { sampling: SamplingParams { superset: SupersetChoice::On, ..sampling }, ..s.clone() },
+            JobSpec {
+                sampling: SamplingParams {
+                    far: Some(9.0),
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    cell_to_cell: CellToCell::Off,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    contributions: true,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                block_cells: 65,
+                ..s.clone()
+            },
+            JobSpec {
+                method: Method::Exact,
+                ..s.clone()
+            },
+            JobSpec {
+                method: Method::Exact,
+                certificates: true,
+                ..s.clone()
+            },
+            JobSpec {
+                method: Method::Verified,
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    sampler: Sampler::Guided,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    target_error: 0.01,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    max_error: Some(0.01),
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    rays: 5,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                view_box: Aabb::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 2.0)),
+                ..s.clone()
+            },
+            JobSpec {
+                backend: BackendChoice::Gpu,
+                ..s.clone()
+            },
+            JobSpec {
+                seed: 4,
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    resolution: 64,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    measure: ErrorMeasure::Sets,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    error_threshold: 0.9,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    interior_threshold: 0.9,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    min_distance: 0.25,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    solids: false,
+                    ..sampling.clone()
+                },
+                ..s.clone()
+            },
+            JobSpec {
+                sampling: SamplingParams {
+                    superset: SupersetChoice::On,
+                    ..sampling
+                },
+                ..s.clone()
+            },
         ];
         let mut keys: Vec<_> = others.iter().map(JobSpec::key).chain([s.key()]).collect();
         keys.sort_unstable();
@@ -488,7 +685,8 @@ mod tests {
     #[test]
     fn cells_thinner_than_rounding_are_refused_where_lines_decide() {
         // Two metres at five million: five steps of 32-bit coordinates.
-        let far = |wide: f32| Aabb::new(Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide));
+        let far =
+            |wide: f32| Aabb::new(Vec3::new(5e6, 0.0, 0.0), Vec3::new(5e6 + wide, wide, wide));
         let lines = |wide, division| JobSpec {
             view_box: far(wide),
             division,
@@ -498,14 +696,47 @@ mod tests {
             ..spec()
         };
         let thin = lines(16.0, Division::Grid([8; 3]));
-        assert!(thin.moved_by_rounding().unwrap_err().to_string().contains("2.00e0 wide along x"));
-        let by_cubes = SamplingParams { sampler: Sampler::Cubes, ..SamplingParams::default() };
-        assert_eq!(JobSpec { sampling: by_cubes, ..thin.clone() }.moved_by_rounding(), Ok(0.0));
-        assert_eq!(JobSpec { method: Method::Exact, ..thin }.moved_by_rounding(), Ok(0.0));
-        let part = lines(160.0, Division::Grid([8; 3])).moved_by_rounding().unwrap();
+        assert!(
+            thin.moved_by_rounding()
+                .unwrap_err()
+                .to_string()
+                .contains("2.00e0 wide along x")
+        );
+        let by_cubes = SamplingParams {
+            sampler: Sampler::Cubes,
+            ..SamplingParams::default()
+        };
+        assert_eq!(
+            JobSpec {
+                sampling: by_cubes,
+                ..thin.clone()
+            }
+            .moved_by_rounding(),
+            Ok(0.0)
+        );
+        assert_eq!(
+            JobSpec {
+                method: Method::Exact,
+                ..thin
+            }
+            .moved_by_rounding(),
+            Ok(0.0)
+        );
+        let part = lines(160.0, Division::Grid([8; 3]))
+            .moved_by_rounding()
+            .unwrap();
         assert!((0.2..0.3).contains(&part), "{part}");
         // Halved along each axis, as such a tree is in any case.
-        let tree = |wide| lines(wide, Division::Adaptive { budget: 5, max_depth: 6 }).moved_by_rounding();
+        let tree = |wide| {
+            lines(
+                wide,
+                Division::Adaptive {
+                    budget: 5,
+                    max_depth: 6,
+                },
+            )
+            .moved_by_rounding()
+        };
         assert!(tree(8.0).is_err() && tree(16.0).is_ok());
     }
 
@@ -513,30 +744,109 @@ mod tests {
     fn a_wrong_field_is_refused_by_name() {
         let good = spec().to_proto();
         let refuse = |m: v1::JobSpec| JobSpec::from_proto(&m, None).unwrap_err().to_string();
-        assert!(refuse(v1::JobSpec { scene: vec![1], ..good.clone() }).contains("scene"));
+        assert!(
+            refuse(v1::JobSpec {
+                scene: vec![1],
+                ..good.clone()
+            })
+            .contains("scene")
+        );
         let no_budget = Some(v1::job_spec::Division::Adaptive(v1::Adaptive::default()));
-        assert!(refuse(v1::JobSpec { division: no_budget, ..good.clone() }).contains("triangle-budget"));
-        assert!(refuse(v1::JobSpec { view_box: vec![], ..good.clone() }).contains("view box"));
-        assert!(refuse(v1::JobSpec { block_cells: Some(4097), ..good.clone() }).contains("block-cells"));
-        assert!(refuse(v1::JobSpec { time_budget_ms: Some(0), ..good.clone() }).contains("time-budget"));
-        assert!(refuse(v1::JobSpec { backend: Some(9), ..good.clone() }).contains("backend"));
-        assert!(refuse(v1::JobSpec { method: Some(9), ..good.clone() }).contains("method"));
-        assert!(refuse(v1::JobSpec { certificates: Some(true), ..good.clone() }).contains("certificates"));
+        assert!(
+            refuse(v1::JobSpec {
+                division: no_budget,
+                ..good.clone()
+            })
+            .contains("triangle-budget")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                view_box: vec![],
+                ..good.clone()
+            })
+            .contains("view box")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                block_cells: Some(4097),
+                ..good.clone()
+            })
+            .contains("block-cells")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                time_budget_ms: Some(0),
+                ..good.clone()
+            })
+            .contains("time-budget")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                backend: Some(9),
+                ..good.clone()
+            })
+            .contains("backend")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                method: Some(9),
+                ..good.clone()
+            })
+            .contains("method")
+        );
+        assert!(
+            refuse(v1::JobSpec {
+                certificates: Some(true),
+                ..good.clone()
+            })
+            .contains("certificates")
+        );
         let adaptive = JobSpec {
-            division: Division::Adaptive { budget: 5, max_depth: 12 },
+            division: Division::Adaptive {
+                budget: 5,
+                max_depth: 12,
+            },
             block_cells: USUAL_BLOCK_CELLS,
             ..spec()
         };
-        let deep = JobSpec { division: Division::Adaptive { budget: 5, max_depth: 13 }, ..adaptive.clone() };
+        let deep = JobSpec {
+            division: Division::Adaptive {
+                budget: 5,
+                max_depth: 13,
+            },
+            ..adaptive.clone()
+        };
         assert!(refuse(deep.to_proto()).contains("max-depth"));
-        assert_eq!(JobSpec::from_proto(&adaptive.to_proto(), None).unwrap(), adaptive);
+        assert_eq!(
+            JobSpec::from_proto(&adaptive.to_proto(), None).unwrap(),
+            adaptive
+        );
         let with = |sampler, max_error| {
-            let sampling = SamplingParams { sampler, max_error, ..SamplingParams::default() };
-            refuse(JobSpec { sampling, ..adaptive.clone() }.to_proto())
+            let sampling = SamplingParams {
+                sampler,
+                max_error,
+                ..SamplingParams::default()
+            };
+            refuse(
+                JobSpec {
+                    sampling,
+                    ..adaptive.clone()
+                }
+                .to_proto(),
+            )
         };
         assert!(with(Sampler::Guided, None).contains("sampler"));
         assert!(with(Sampler::Lines, Some(0.01)).contains("max-error"));
-        let nan = v1::Sampling { error_threshold: Some(f64::NAN), ..good.sampling.unwrap() };
-        assert!(refuse(v1::JobSpec { sampling: Some(nan), ..good }).contains("error-threshold"));
+        let nan = v1::Sampling {
+            error_threshold: Some(f64::NAN),
+            ..good.sampling.unwrap()
+        };
+        assert!(
+            refuse(v1::JobSpec {
+                sampling: Some(nan),
+                ..good
+            })
+            .contains("error-threshold")
+        );
     }
 }

@@ -99,9 +99,17 @@ impl CellStats {
     pub fn numbers(&self) -> [u64; Self::NAMES.len()] {
         let ([a, b, c, d], [e, f, g, h]) = (self.rays, self.finds);
         let [i, j, k] = [u64::from(self.rounds), self.last_rays, self.last_misses];
-        let [l, m, n] = [self.bound_lines, self.bound_misses, u64::from(self.bound_look)];
+        let [l, m, n] = [
+            self.bound_lines,
+            self.bound_misses,
+            u64::from(self.bound_look),
+        ];
         let [o, p] = [self.unfinished, self.raised_tolerance].map(u64::from);
-        let [q, r, s] = [self.bound_cell_misses, self.bound_cell_lines, u64::from(self.bound_cell_look)];
+        let [q, r, s] = [
+            self.bound_cell_misses,
+            self.bound_cell_lines,
+            u64::from(self.bound_cell_look),
+        ];
         [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p, q, r, s]
     }
 
@@ -204,7 +212,10 @@ pub const COLUMNS: usize = 1 + CellStats::NAMES.len() + DecisionStats::NAMES.len
 
 /// The names of a cell's columns, in the order of [`crate::CellSet::row`].
 pub fn column_names() -> impl Iterator<Item = &'static str> {
-    ["samples"].into_iter().chain(CellStats::NAMES).chain(DecisionStats::NAMES)
+    ["samples"]
+        .into_iter()
+        .chain(CellStats::NAMES)
+        .chain(DecisionStats::NAMES)
 }
 
 #[cfg(test)]
@@ -213,26 +224,63 @@ mod tests {
 
     #[test]
     fn numbers_have_their_names_and_come_back() {
-        let numbers: [u64; CellStats::NAMES.len()] =
-            std::array::from_fn(|i| if (14..16).contains(&i) { 15 - i as u64 } else { i as u64 + 10 });
+        let numbers: [u64; CellStats::NAMES.len()] = std::array::from_fn(|i| {
+            if (14..16).contains(&i) {
+                15 - i as u64
+            } else {
+                i as u64 + 10
+            }
+        });
         let stats = CellStats::from_numbers(numbers).unwrap();
         assert_eq!(stats.numbers(), numbers);
         let of = |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
         assert_eq!(
-            [of("rays_uniform"), of("rays_flood"), of("rays_candidate"), of("rays_check")],
+            [
+                of("rays_uniform"),
+                of("rays_flood"),
+                of("rays_candidate"),
+                of("rays_check")
+            ],
             stats.rays
         );
         assert_eq!(
-            [of("finds_uniform"), of("finds_flood"), of("finds_candidate"), of("finds_check")],
+            [
+                of("finds_uniform"),
+                of("finds_flood"),
+                of("finds_candidate"),
+                of("finds_check")
+            ],
             stats.finds
         );
-        assert_eq!([of("rounds"), of("bound_look")], [u64::from(stats.rounds), u64::from(stats.bound_look)]);
-        assert_eq!([of("last_rays"), of("last_misses")], [stats.last_rays, stats.last_misses]);
-        assert_eq!([of("bound_lines"), of("bound_misses")], [stats.bound_lines, stats.bound_misses]);
-        let cells = [of("bound_cell_lines"), of("bound_cell_misses"), of("bound_cell_look")];
-        let own = [stats.bound_cell_lines, stats.bound_cell_misses, u64::from(stats.bound_cell_look)];
+        assert_eq!(
+            [of("rounds"), of("bound_look")],
+            [u64::from(stats.rounds), u64::from(stats.bound_look)]
+        );
+        assert_eq!(
+            [of("last_rays"), of("last_misses")],
+            [stats.last_rays, stats.last_misses]
+        );
+        assert_eq!(
+            [of("bound_lines"), of("bound_misses")],
+            [stats.bound_lines, stats.bound_misses]
+        );
+        let cells = [
+            of("bound_cell_lines"),
+            of("bound_cell_misses"),
+            of("bound_cell_look"),
+        ];
+        let own = [
+            stats.bound_cell_lines,
+            stats.bound_cell_misses,
+            u64::from(stats.bound_cell_look),
+        ];
         assert_eq!(cells, own);
-        assert!(of("unfinished") == 1 && stats.unfinished && of("spared") == 0 && !stats.raised_tolerance);
+        assert!(
+            of("unfinished") == 1
+                && stats.unfinished
+                && of("spared") == 0
+                && !stats.raised_tolerance
+        );
         // Beyond their ranges.
         for i in [8, 13, 14, 15, 18] {
             let mut wrong = numbers;

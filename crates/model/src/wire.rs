@@ -40,7 +40,8 @@ impl JobSpec {
     pub fn from_proto(m: &v1::JobSpec, scene: Option<SceneFacts>) -> Result<Self, SpecError> {
         let facts = scene.unwrap_or_default();
         let digest = m.scene.as_slice().try_into();
-        let digest = digest.map_err(|_| SpecError::Field("scene", "give the 32 bytes of its digest"))?;
+        let digest =
+            digest.map_err(|_| SpecError::Field("scene", "give the 32 bytes of its digest"))?;
         let ambient = m.ambient.as_ref().map(Ambient::from_proto).transpose()?;
         // The fields about cells have fixed values in a job of ambient occlusion.
         let ambient_job = ambient.map(|ambient| Self::of_receivers(digest, ambient));
@@ -59,18 +60,26 @@ impl JobSpec {
             Some(v1::job_spec::Division::Tree(tree)) => {
                 Division::Tree(Arc::new(KdTree::new(&tree.axes, &tree.planes)?))
             }
-            None => ambient_job.as_ref().map_or(Division::Grid(USUAL_GRID), |job| job.division.clone()),
+            None => ambient_job
+                .as_ref()
+                .map_or(Division::Grid(USUAL_GRID), |job| job.division.clone()),
         };
-        let bounds = ambient_job.as_ref().map(|job| job.view_box).or(facts.bounds);
+        let bounds = ambient_job
+            .as_ref()
+            .map(|job| job.view_box)
+            .or(facts.bounds);
         let view_box = match (m.view_box.as_slice(), bounds) {
-            ([x0, y0, z0, x1, y1, z1], _) => Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1)),
+            ([x0, y0, z0, x1, y1, z1], _) => {
+                Aabb::new(Vec3::new(*x0, *y0, *z0), Vec3::new(*x1, *y1, *z1))
+            }
             ([], Some(bounds)) => bounds,
             _ => return Err(SpecError::Field("view box", "give x0,y0,z0,x1,y1,z1")),
         };
         let sampling = SamplingParams::from_proto(&m.sampling.unwrap_or_default())?;
         let method = m.method.map_or(Ok(Method::default()), Method::from_wire)?;
         // Cubes and trees have no blocks. A number that they do not use makes no other job.
-        let has_blocks = sampling.sampler != Sampler::Cubes && matches!(division, Division::Grid(_));
+        let has_blocks =
+            sampling.sampler != Sampler::Cubes && matches!(division, Division::Grid(_));
         let block_cells = match m.block_cells {
             Some(cells) if has_blocks || !(1..=MOST_BLOCK_CELLS).contains(&cells) => cells,
             None if has_blocks && ambient.is_none() => {
@@ -86,7 +95,10 @@ impl JobSpec {
                 Some(Arc::new(Viewpoints::decode(bytes, cells)?))
             }
             (_, None) => {
-                return Err(SpecError::Field("viewpoints", "the cells of an adaptive tree cannot have them"));
+                return Err(SpecError::Field(
+                    "viewpoints",
+                    "the cells of an adaptive tree cannot have them",
+                ));
             }
         };
         let up = match m.up {
@@ -95,7 +107,11 @@ impl JobSpec {
             Some(up) => Some(Up::from_wire(up)?),
         };
         let needs_none = method == Method::Portals || ambient.is_some();
-        let backend = if needs_none { BackendChoice::None } else { BackendChoice::default() };
+        let backend = if needs_none {
+            BackendChoice::None
+        } else {
+            BackendChoice::default()
+        };
         let spec = Self {
             scene: digest,
             division,
@@ -136,7 +152,10 @@ impl JobSpec {
                 }
                 &Division::Adaptive { budget, max_depth } => {
                     let (triangle_budget, max_depth) = (Some(budget), Some(max_depth));
-                    v1::job_spec::Division::Adaptive(v1::Adaptive { triangle_budget, max_depth })
+                    v1::job_spec::Division::Adaptive(v1::Adaptive {
+                        triangle_budget,
+                        max_depth,
+                    })
                 }
                 Division::Tree(tree) => {
                     let (axes, planes) = tree.parts();
@@ -151,7 +170,10 @@ impl JobSpec {
             block_cells: Some(self.block_cells),
             method: Some(self.method.to_wire()),
             certificates: Some(self.certificates),
-            viewpoints: self.viewpoints.as_ref().map_or_else(Vec::new, |marks| marks.encode()),
+            viewpoints: self
+                .viewpoints
+                .as_ref()
+                .map_or_else(Vec::new, |marks| marks.encode()),
             up: self.up.map(Choice::to_wire),
             ambient: self.ambient.map(Ambient::to_proto),
         }

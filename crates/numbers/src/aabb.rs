@@ -13,7 +13,10 @@ pub struct Aabb {
 
 impl Aabb {
     /// The box that contains nothing: its union with any box is that box.
-    pub const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
+    pub const EMPTY: Self = Self {
+        min: Vec3::INFINITY,
+        max: Vec3::NEG_INFINITY,
+    };
 
     /// The box between its least and its greatest corner.
     pub const fn new(min: Vec3, max: Vec3) -> Self {
@@ -22,13 +25,19 @@ impl Aabb {
 
     /// The least box around some points; [`Self::EMPTY`] when there are none.
     pub fn around(points: impl IntoIterator<Item = Vec3>) -> Self {
-        points.into_iter().fold(Self::EMPTY, |b, p| Self { min: b.min.min(p), max: b.max.max(p) })
+        points.into_iter().fold(Self::EMPTY, |b, p| Self {
+            min: b.min.min(p),
+            max: b.max.max(p),
+        })
     }
 
     /// The least box around both.
     #[must_use]
     pub fn union(self, other: Self) -> Self {
-        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+        Self {
+            min: self.min.min(other.min),
+            max: self.max.max(other.max),
+        }
     }
 
     /// Whether `p` is inside or on the border.

@@ -47,18 +47,29 @@ impl Convex {
         if !(3..=MOST_CORNERS).contains(&corners.len()) {
             return Err(ConvexError::Corners(corners.len()));
         }
-        let corners: Vec<DVec3> = corners.iter().map(|c| DVec3::from(*c).as_vec3().as_dvec3()).collect();
+        let corners: Vec<DVec3> = corners
+            .iter()
+            .map(|c| DVec3::from(*c).as_vec3().as_dvec3())
+            .collect();
         if let Some(k) = corners.iter().position(|c| !c.is_finite()) {
             return Err(ConvexError::NotFinite(k));
         }
         let n = corners.len();
-        let area: DVec3 =
-            (1..n - 1).map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0])).sum();
+        let area: DVec3 = (1..n - 1)
+            .map(|k| (corners[k] - corners[0]).cross(corners[k + 1] - corners[0]))
+            .sum();
         // Half a unit in the last place of single precision at each corner, and as much at those of a scene.
-        let most = corners.iter().fold(0.0f64, |m, c| m.max(c.abs().max_element()));
+        let most = corners
+            .iter()
+            .fold(0.0f64, |m, c| m.max(c.abs().max_element()));
         let slack = 4.0 * f64::from(f32::EPSILON) * most;
-        let Some(normal) = area.try_normalize() else { return Err(ConvexError::Flat) };
-        if let Some(k) = corners.iter().position(|c| normal.dot(*c - corners[0]).abs() > slack) {
+        let Some(normal) = area.try_normalize() else {
+            return Err(ConvexError::Flat);
+        };
+        if let Some(k) = corners
+            .iter()
+            .position(|c| normal.dot(*c - corners[0]).abs() > slack)
+        {
             return Err(ConvexError::Bent(k));
         }
         let mut turns = 0.0;
@@ -78,7 +89,11 @@ impl Convex {
         if turns > 3.0 * std::f64::consts::PI {
             return Err(ConvexError::NotConvex(0));
         }
-        Ok(Self { corners, normal, slack })
+        Ok(Self {
+            corners,
+            normal,
+            slack,
+        })
     }
 
     /// The corners, in order, as they were rounded.
@@ -135,7 +150,10 @@ mod tests {
         let mut twice = ring(4, 1);
         twice[1] = twice[0];
         assert!(matches!(refused(&twice), ConvexError::NotConvex(_)));
-        assert_eq!(refused(&[[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), ConvexError::Flat);
+        assert_eq!(
+            refused(&[[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]),
+            ConvexError::Flat
+        );
         assert_eq!(refused(&ring(2, 1)), ConvexError::Corners(2));
         assert_eq!(refused(&ring(1025, 1)), ConvexError::Corners(1025));
         for far in [f64::NAN, f64::INFINITY, 1e39] {

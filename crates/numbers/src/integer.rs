@@ -26,7 +26,10 @@ mod tests {
         let large = |x: i32, shift: usize| IBig::from(x) << shift;
         assert_eq!(ratio(&IBig::from(7), &IBig::from(2)), 3.5);
         assert_eq!(ratio(&large(-7, 3000), &large(2, 3000)), -3.5);
-        assert_eq!(ratio(&large(3, 900), &large(1, 0)), 3.0 * f64::powi(2.0, 900));
+        assert_eq!(
+            ratio(&large(3, 900), &large(1, 0)),
+            3.0 * f64::powi(2.0, 900)
+        );
         let third = ratio(&large(1, 1500), &(large(3, 1500) + IBig::ONE));
         assert!((third * 3.0 - 1.0).abs() < 3.0 * f64::EPSILON);
         assert_eq!(ratio(&IBig::ZERO, &large(1, 2000)), 0.0);

@@ -42,7 +42,9 @@ impl SplitMix64 {
     /// The stream named by a list of numbers, such as a seed, a tile and a cell. The order of the numbers
     /// counts.
     pub fn named(names: &[u64]) -> Self {
-        let state = names.iter().fold(GAMMA, |state, name| mix(state ^ mix(name.wrapping_add(GAMMA))));
+        let state = names.iter().fold(GAMMA, |state, name| {
+            mix(state ^ mix(name.wrapping_add(GAMMA)))
+        });
         Self { state }
     }
 
@@ -73,7 +75,12 @@ mod tests {
     #[test]
     fn mixing_has_known_answers() {
         let mixed = [0, 1, u64::MAX, 0x0123_4567_89ab_cdef].map(mix);
-        let expected = [0, 0x5692_161d_100b_05e5, 0xb4d0_55fc_f2cb_bd7b, 0xb2c0_58e4_ebb5_112c];
+        let expected = [
+            0,
+            0x5692_161d_100b_05e5,
+            0xb4d0_55fc_f2cb_bd7b,
+            0xb2c0_58e4_ebb5_112c,
+        ];
         assert_eq!(mixed, expected);
     }
 
@@ -81,11 +88,29 @@ mod tests {
     fn streams_have_known_answers() {
         // The outputs for state 0 are published with the reference code.
         for (mut stream, expected) in [
-            (SplitMix64::new(0), [0xe220_a839_7b1d_cdaf, 0x6e78_9e6a_a1b9_65f4, 0x06c4_5d18_8009_454f]),
-            (SplitMix64::new(42), [0xbdd7_3226_2feb_6e95, 0x28ef_e333_b266_f103, 0x4752_6757_130f_9f52]),
+            (
+                SplitMix64::new(0),
+                [
+                    0xe220_a839_7b1d_cdaf,
+                    0x6e78_9e6a_a1b9_65f4,
+                    0x06c4_5d18_8009_454f,
+                ],
+            ),
+            (
+                SplitMix64::new(42),
+                [
+                    0xbdd7_3226_2feb_6e95,
+                    0x28ef_e333_b266_f103,
+                    0x4752_6757_130f_9f52,
+                ],
+            ),
             (
                 SplitMix64::named(&[1, 2, 3]),
-                [0x5bc5_81b0_4a97_c4df, 0x9c4d_6541_405d_32d6, 0x4433_34da_c5d2_f022],
+                [
+                    0x5bc5_81b0_4a97_c4df,
+                    0x9c4d_6541_405d_32d6,
+                    0x4433_34da_c5d2_f022,
+                ],
             ),
         ] {
             assert_eq!([stream.bits(), stream.bits(), stream.bits()], expected);
@@ -95,7 +120,10 @@ mod tests {
 
     #[test]
     fn units_are_the_upper_bits() {
-        assert_eq!(SplitMix64::new(0).unit_f32(), 0x00e2_20a8 as f32 / 16_777_216.0);
+        assert_eq!(
+            SplitMix64::new(0).unit_f32(),
+            0x00e2_20a8 as f32 / 16_777_216.0
+        );
         let expected = (0xe220_a839_7b1d_cdaf_u64 >> 11) as f64 / 9_007_199_254_740_992.0;
         assert_eq!(SplitMix64::new(0).unit_f64(), expected);
     }

@@ -22,7 +22,9 @@ pub struct UnionFind {
 impl UnionFind {
     /// `n` sets of one number each; `n` is at most 2³².
     pub fn new(n: usize) -> Self {
-        Self { parent: (0..n as u32).collect() }
+        Self {
+            parent: (0..n as u32).collect(),
+        }
     }
 
     /// The least number of the set that `x` is in.

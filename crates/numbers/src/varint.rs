@@ -102,7 +102,10 @@ mod tests {
             (127, &[0x7f]),
             (128, &[0x80, 1]),
             (16_384, &[0x80, 0x80, 1]),
-            (u64::MAX, &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1]),
+            (
+                u64::MAX,
+                &[0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1],
+            ),
         ] {
             let mut bytes = Vec::new();
             write(&mut bytes, value);
@@ -126,7 +129,11 @@ mod tests {
             (&[0x80, 0], 10, true, NotShortest),
         ] {
             let mut rest = bytes;
-            assert_eq!(take(&mut rest, most_bytes, shortest), Err(expected), "{bytes:x?}");
+            assert_eq!(
+                take(&mut rest, most_bytes, shortest),
+                Err(expected),
+                "{bytes:x?}"
+            );
             assert_eq!(rest, bytes);
         }
     }
@@ -135,7 +142,10 @@ mod tests {
     fn padded_numbers_are_read_where_they_are_allowed() {
         assert_eq!(read(&mut &[0x81, 0x80, 0][..], 10), Ok(1));
         assert_eq!(read_shortest(&mut &[0][..], 9), Ok(0));
-        assert_eq!(read(&mut &[0xff, 0xff, 0xff, 0xff, 0x7f][..], 5), Ok((1 << 35) - 1));
+        assert_eq!(
+            read(&mut &[0xff, 0xff, 0xff, 0xff, 0x7f][..], 5),
+            Ok((1 << 35) - 1)
+        );
     }
 
     proptest! {

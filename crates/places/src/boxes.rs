@@ -39,19 +39,36 @@ mod tests {
     #[test]
     fn parts_that_share_volume_with_a_box_are_marked_and_no_others() {
         let cells = [2, 1, 1];
-        let lattice = Division::Grid(cells).lattice(Vec3::ZERO, Vec3::new(8.0, 4.0, 4.0)).unwrap();
+        let lattice = Division::Grid(cells)
+            .lattice(Vec3::ZERO, Vec3::new(8.0, 4.0, 4.0))
+            .unwrap();
         let parts = Parts::new(&lattice, cells);
         // Parts have sides of one.
         let boxes = [
-            Aabb { min: Vec3::new(0.5, 0.0, 0.0), max: Vec3::new(2.0, 1.0, 1.0) },
-            Aabb { min: Vec3::new(7.5, 3.5, 3.5), max: Vec3::splat(20.0) },
+            Aabb {
+                min: Vec3::new(0.5, 0.0, 0.0),
+                max: Vec3::new(2.0, 1.0, 1.0),
+            },
+            Aabb {
+                min: Vec3::new(7.5, 3.5, 3.5),
+                max: Vec3::splat(20.0),
+            },
         ];
         let marks = mark(&parts, cells, &boxes);
-        let marked: Vec<[u32; 3]> = crate::each(marks.sides()).filter(|p| marks.has(*p)).collect();
+        let marked: Vec<[u32; 3]> = crate::each(marks.sides())
+            .filter(|p| marks.has(*p))
+            .collect();
         assert_eq!(marked, [[0, 0, 0], [1, 0, 0], [7, 3, 3]]);
         // Flat ones on planes between parts, and at the end of the box.
         let flat = |x: f32| {
-            mark(&parts, cells, &[Aabb { min: Vec3::new(x, 0.0, 0.0), max: Vec3::new(x, 1.0, 1.0) }])
+            mark(
+                &parts,
+                cells,
+                &[Aabb {
+                    min: Vec3::new(x, 0.0, 0.0),
+                    max: Vec3::new(x, 1.0, 1.0),
+                }],
+            )
         };
         assert!(flat(2.0).has([2, 0, 0]) && flat(2.0).marked() == 1);
         assert!(flat(8.0).has([7, 0, 0]) && flat(8.0).marked() == 1);

@@ -33,7 +33,9 @@ pub enum PlacesError {
         source: std::io::Error,
     },
     /// A line is no viewpoint.
-    #[error("line {line} is not a viewpoint: {reason}; write `x y z`, or `x y z weight` with a weight ≥ 0")]
+    #[error(
+        "line {line} is not a viewpoint: {reason}; write `x y z`, or `x y z weight` with a weight ≥ 0"
+    )]
     Line {
         /// From 1.
         line: u64,
@@ -95,7 +97,9 @@ impl Parts {
     /// The parts of a grid of `cells` cells.
     pub fn new(lattice: &Lattice, cells: [u32; 3]) -> Self {
         let plane = |a: usize, k: u32| lattice.coordinate(a, k * (UNITS_PER_CELL / PARTS));
-        Self { planes: [0, 1, 2].map(|a| (0..=cells[a] * PARTS).map(|k| plane(a, k)).collect()) }
+        Self {
+            planes: [0, 1, 2].map(|a| (0..=cells[a] * PARTS).map(|k| plane(a, k)).collect()),
+        }
     }
 
     /// Parts along each axis.
@@ -105,14 +109,21 @@ impl Parts {
 
     /// The box of a part.
     pub fn bounds(&self, part: [u32; 3]) -> Aabb {
-        let corner = |up: u32| glam::Vec3::from([0, 1, 2].map(|a| self.planes[a][(part[a] + up) as usize]));
-        Aabb { min: corner(0), max: corner(1) }
+        let corner =
+            |up: u32| glam::Vec3::from([0, 1, 2].map(|a| self.planes[a][(part[a] + up) as usize]));
+        Aabb {
+            min: corner(0),
+            max: corner(1),
+        }
     }
 
     /// The whole box.
     pub fn whole(&self) -> Aabb {
         let sides = self.sides();
-        Aabb { min: self.bounds([0; 3]).min, max: self.bounds(sides.map(|s| s - 1)).max }
+        Aabb {
+            min: self.bounds([0; 3]).min,
+            max: self.bounds(sides.map(|s| s - 1)).max,
+        }
     }
 
     /// The parts whose closed box the closed box `of` touches, as ranges along each axis.
@@ -135,16 +146,25 @@ impl Parts {
         inside.then(|| {
             [0, 1, 2].map(|a| {
                 let planes = &self.planes[a];
-                (planes.partition_point(|p| *p <= point[a]) as u32).clamp(1, planes.len() as u32 - 1) - 1
+                (planes.partition_point(|p| *p <= point[a]) as u32)
+                    .clamp(1, planes.len() as u32 - 1)
+                    - 1
             })
         })
     }
 }
 
 /// Marks every part of which `meets` says that its box holds viewpoints.
-pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool + Sync) -> Viewpoints {
+pub fn mark_where(
+    parts: &Parts,
+    cells: [u32; 3],
+    meets: impl Fn(Aabb) -> bool + Sync,
+) -> Viewpoints {
     let all: Vec<[u32; 3]> = each(parts.sides()).collect();
-    let met: Vec<[u32; 3]> = all.into_par_iter().filter(|p| meets(parts.bounds(*p))).collect();
+    let met: Vec<[u32; 3]> = all
+        .into_par_iter()
+        .filter(|p| meets(parts.bounds(*p)))
+        .collect();
     let mut marks = Viewpoints::none(cells);
     met.into_iter().for_each(|p| marks.mark(p));
     marks
@@ -153,7 +173,9 @@ pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool +
 /// The parts that both have marked.
 pub fn both(a: &Viewpoints, b: &Viewpoints) -> Viewpoints {
     let mut out = Viewpoints::none(a.cells());
-    each(a.sides()).filter(|p| a.has(*p) && b.has(*p)).for_each(|p| out.mark(p));
+    each(a.sides())
+        .filter(|p| a.has(*p) && b.has(*p))
+        .for_each(|p| out.mark(p));
     out
 }
 
@@ -167,6 +189,7 @@ pub(crate) fn each(sides: [u32; 3]) -> impl Iterator<Item = [u32; 3]> {
 pub(crate) fn within([xs, ys, zs]: [std::ops::Range<u32>; 3]) -> impl Iterator<Item = [u32; 3]> {
     zs.flat_map(move |z| {
         let xs = xs.clone();
-        ys.clone().flat_map(move |y| xs.clone().map(move |x| [x, y, z]))
+        ys.clone()
+            .flat_map(move |y| xs.clone().map(move |x| [x, y, z]))
     })
 }

@@ -17,12 +17,17 @@ use crate::{Parts, PlacesError, each, within};
 ///
 /// # Errors
 /// [`PlacesError::Open`] for a mesh that is not closed.
-pub fn mark_closed(parts: &Parts, cells: [u32; 3], mesh: &Scene) -> Result<Viewpoints, PlacesError> {
+pub fn mark_closed(
+    parts: &Parts,
+    cells: [u32; 3],
+    mesh: &Scene,
+) -> Result<Viewpoints, PlacesError> {
     check_closed(mesh)?;
     let mut marks = Viewpoints::none(cells);
     for triangle in mesh.triangles().iter().filter(|t| !t.is_degenerate()) {
         let touching = within(parts.touched(&triangle.bounds()));
-        for part in touching.filter(|p| overlap::triangle_touches_box(triangle, &parts.bounds(*p))) {
+        for part in touching.filter(|p| overlap::triangle_touches_box(triangle, &parts.bounds(*p)))
+        {
             marks.mark(part);
         }
     }
@@ -31,7 +36,9 @@ pub fn mark_closed(parts: &Parts, cells: [u32; 3], mesh: &Scene) -> Result<Viewp
         ((p[2] as usize * sides[1] as usize) + p[1] as usize) * sides[0] as usize + p[0] as usize
     };
     let mut known = vec![false; sides.iter().map(|s| *s as usize).product()];
-    each(sides).filter(|p| marks.has(*p)).for_each(|p| known[index(p)] = true);
+    each(sides)
+        .filter(|p| marks.has(*p))
+        .for_each(|p| known[index(p)] = true);
     for start in each(sides) {
         if known[index(start)] {
             continue;
@@ -46,7 +53,11 @@ pub fn mark_closed(parts: &Parts, cells: [u32; 3], mesh: &Scene) -> Result<Viewp
             }
             for (axis, up) in (0..3).flat_map(|a| [(a, false), (a, true)]) {
                 let mut next = part;
-                next[axis] = if up { part[axis] + 1 } else { part[axis].wrapping_sub(1) };
+                next[axis] = if up {
+                    part[axis] + 1
+                } else {
+                    part[axis].wrapping_sub(1)
+                };
                 if next[axis] < sides[axis] && !known[index(next)] {
                     known[index(next)] = true;
                     open.push(next);
@@ -59,7 +70,13 @@ pub fn mark_closed(parts: &Parts, cells: [u32; 3], mesh: &Scene) -> Result<Viewp
 
 /// Marks the parts that hold points from `heights[0]` to `heights[1]` above a navigation mesh, along the axis
 /// `up`.
-pub fn mark_above(parts: &Parts, cells: [u32; 3], mesh: &Scene, up: usize, heights: [f32; 2]) -> Viewpoints {
+pub fn mark_above(
+    parts: &Parts,
+    cells: [u32; 3],
+    mesh: &Scene,
+    up: usize,
+    heights: [f32; 2],
+) -> Viewpoints {
     let mut marks = Viewpoints::none(cells);
     for triangle in mesh.triangles() {
         let prism = Prism::new(triangle, up, heights);
@@ -93,14 +110,24 @@ impl Prism {
         let mut axis = DVec3::ZERO;
         axis[up] = 1.0;
         let [low, high] = heights.map(|h| axis * f64::from(h));
-        let corners = [v[0] + low, v[1] + low, v[2] + low, v[0] + high, v[1] + high, v[2] + high];
+        let corners = [
+            v[0] + low,
+            v[1] + low,
+            v[2] + low,
+            v[0] + high,
+            v[1] + high,
+            v[2] + high,
+        ];
         let edges = [v[1] - v[0], v[2] - v[1], v[0] - v[2], axis];
         let normal = edges[0].cross(edges[1]);
         // Separating axes: the normals of both, and the cross products of their edges. Crosses with `axis`
         // are the normals of the prism's sides.
         let units = [DVec3::X, DVec3::Y, DVec3::Z];
         let crosses = edges.into_iter().flat_map(|e| units.map(|u| e.cross(u)));
-        let axes = crosses.chain([normal]).chain(edges.map(|e| e.cross(axis))).collect();
+        let axes = crosses
+            .chain([normal])
+            .chain(edges.map(|e| e.cross(axis)))
+            .collect();
         Self { corners, axes }
     }
 
@@ -139,14 +166,21 @@ fn check_closed(mesh: &Scene) -> Result<(), PlacesError> {
         for k in 0..3 {
             let (a, b) = (triangle.v[k], triangle.v[(k + 1) % 3]);
             let along = key(a) < key(b);
-            let ends = if along { [key(a), key(b)] } else { [key(b), key(a)] };
+            let ends = if along {
+                [key(a), key(b)]
+            } else {
+                [key(b), key(a)]
+            };
             edges.entry(ends).or_insert((0, a)).0 += if along { 1 } else { -1 };
         }
     }
     let mut open = edges.values().filter(|(sum, _)| *sum != 0);
     match open.next() {
         None => Ok(()),
-        Some((_, at)) => Err(PlacesError::Open { open: open.count() as u64 + 1, at: at.to_array() }),
+        Some((_, at)) => Err(PlacesError::Open {
+            open: open.count() as u64 + 1,
+            at: at.to_array(),
+        }),
     }
 }
 
@@ -160,7 +194,12 @@ pub(crate) fn winding(triangles: &[Triangle], point: DVec3) -> f64 {
         let under = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
         2.0 * over.atan2(under)
     };
-    triangles.iter().filter(|t| !t.is_degenerate()).map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
+    triangles
+        .iter()
+        .filter(|t| !t.is_degenerate())
+        .map(angle)
+        .sum::<f64>()
+        / (4.0 * std::f64::consts::PI)
 }
 
 #[cfg(test)]
@@ -172,22 +211,50 @@ mod tests {
 
     fn scene(triangles: Vec<Triangle>) -> Scene {
         let count = triangles.len() as u32;
-        Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+        Scene::new(
+            "test",
+            triangles,
+            vec![Object {
+                name: "all".into(),
+                first: 0,
+                count,
+            }],
+        )
+        .unwrap()
     }
 
     /// The surface of a box, facing outwards.
     fn solid(min: Vec3, max: Vec3) -> Vec<Triangle> {
         let at = |k: u32| {
-            Vec3::from([0, 1, 2].map(|a| if k >> a & 1 == 1 { max[a as usize] } else { min[a as usize] }))
+            Vec3::from([0, 1, 2].map(|a| {
+                if k >> a & 1 == 1 {
+                    max[a as usize]
+                } else {
+                    min[a as usize]
+                }
+            }))
         };
-        let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let quads = [
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+        ];
         let triangle = |q: [u32; 3]| Triangle { v: q.map(at) };
-        quads.iter().flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]]).map(triangle).collect()
+        quads
+            .iter()
+            .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
+            .map(triangle)
+            .collect()
     }
 
     fn parts() -> (Parts, [u32; 3]) {
         let cells = [2, 2, 2];
-        let lattice = Division::Grid(cells).lattice(Vec3::ZERO, Vec3::splat(8.0)).unwrap();
+        let lattice = Division::Grid(cells)
+            .lattice(Vec3::ZERO, Vec3::splat(8.0))
+            .unwrap();
         (Parts::new(&lattice, cells), cells)
     }
 
@@ -197,7 +264,9 @@ mod tests {
         let mut triangles = solid(Vec3::splat(0.5), Vec3::splat(7.5));
         // A hollow: a smaller box that faces inwards.
         let hollow = solid(Vec3::splat(2.5), Vec3::splat(5.5));
-        triangles.extend(hollow.iter().map(|t| Triangle { v: [t.v[0], t.v[2], t.v[1]] }));
+        triangles.extend(hollow.iter().map(|t| Triangle {
+            v: [t.v[0], t.v[2], t.v[1]],
+        }));
         let marks = mark_closed(&parts, cells, &scene(triangles.clone())).unwrap();
         for part in each(marks.sides()) {
             let inside = part.iter().all(|p| (3..5).contains(p));
@@ -205,19 +274,28 @@ mod tests {
         }
         triangles.pop();
         let refused = mark_closed(&parts, cells, &scene(triangles)).unwrap_err();
-        assert!(matches!(refused, PlacesError::Open { open: 3, .. }), "{refused}");
+        assert!(
+            matches!(refused, PlacesError::Open { open: 3, .. }),
+            "{refused}"
+        );
     }
 
     #[test]
     fn a_navigation_mesh_is_raised_to_the_eyes() {
         let (parts, cells) = parts();
-        let v = [Vec3::new(0.2, 1.0, 0.2), Vec3::new(3.8, 1.0, 0.2), Vec3::new(0.2, 1.0, 3.8)];
+        let v = [
+            Vec3::new(0.2, 1.0, 0.2),
+            Vec3::new(3.8, 1.0, 0.2),
+            Vec3::new(0.2, 1.0, 3.8),
+        ];
         let marks = mark_above(&parts, cells, &scene(vec![Triangle { v }]), 1, [1.2, 1.8]);
         let marked: Vec<[u32; 3]> = each(marks.sides()).filter(|p| marks.has(*p)).collect();
         assert!(marked.iter().all(|p| p[1] == 2), "{marked:?}");
         // The triangle x + z ≤ 4 over squares with sides of 1.
         let over: Vec<[u32; 2]> = marked.iter().map(|p| [p[0], p[2]]).collect();
-        let expected: Vec<[u32; 2]> = (0..4).flat_map(|z| (0..4 - z).map(move |x| [x, z])).collect();
+        let expected: Vec<[u32; 2]> = (0..4)
+            .flat_map(|z| (0..4 - z).map(move |x| [x, z]))
+            .collect();
         assert_eq!(over, expected);
     }
 }

@@ -27,19 +27,29 @@ pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, PlacesError> {
     let (mut points, mut bytes) = (Vec::new(), Vec::new());
     for line in 1.. {
         bytes.clear();
-        let read = (&mut from).take(MOST_LINE + 1).read_until(b'\n', &mut bytes);
+        let read = (&mut from)
+            .take(MOST_LINE + 1)
+            .read_until(b'\n', &mut bytes);
         if read.map_err(|source| PlacesError::Read { line, source })? == 0 {
             break;
         }
-        let bad = |reason: &str| PlacesError::Line { line, reason: reason.to_owned() };
+        let bad = |reason: &str| PlacesError::Line {
+            line,
+            reason: reason.to_owned(),
+        };
         if bytes.len() as u64 > MOST_LINE {
             return Err(bad("it is longer than 4096 bytes"));
         }
         let text = std::str::from_utf8(&bytes).map_err(|_| bad("it is not text"))?;
         let text = text.split('#').next().unwrap_or_default();
-        let words = text.split(|c: char| c == ',' || c.is_whitespace()).filter(|w| !w.is_empty());
+        let words = text
+            .split(|c: char| c == ',' || c.is_whitespace())
+            .filter(|w| !w.is_empty());
         let numbers: Vec<f64> = words
-            .map(|w| w.parse().map_err(|_| bad(&format!("“{w}” is not a number"))))
+            .map(|w| {
+                w.parse()
+                    .map_err(|_| bad(&format!("“{w}” is not a number")))
+            })
             .collect::<Result<_, _>>()?;
         let (point, weight) = match numbers.as_slice() {
             [] => continue,
@@ -55,14 +65,18 @@ pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, PlacesError> {
             return Err(bad("its weight is negative or not finite"));
         }
         if points.len() == MOST_POINTS {
-            return Err(bad("the file has more than 10 000 000 viewpoints; leave some out"));
+            return Err(bad(
+                "the file has more than 10 000 000 viewpoints; leave some out",
+            ));
         }
         if weight > 0.0 {
             points.push(Weighted { point, weight });
         }
     }
     match points.is_empty() {
-        true => Err(PlacesError::None("the file has no viewpoints with a weight above 0".to_owned())),
+        true => Err(PlacesError::None(
+            "the file has no viewpoints with a weight above 0".to_owned(),
+        )),
         false => Ok(points),
     }
 }
@@ -76,7 +90,10 @@ mod tests {
         let text = "# telemetry\n1 2 3\n\n4,5,6 , 0.5 # often\r\n0 0 0 0\n";
         let points = read(text.as_bytes()).unwrap();
         let expected = [([1.0, 2.0, 3.0], 1.0), ([4.0, 5.0, 6.0], 0.5)];
-        assert_eq!(points, expected.map(|(point, weight)| Weighted { point, weight }));
+        assert_eq!(
+            points,
+            expected.map(|(point, weight)| Weighted { point, weight })
+        );
     }
 
     #[test]

@@ -56,10 +56,15 @@ pub fn mark_around(
     reach: f32,
 ) -> Result<(Viewpoints, usize), PlacesError> {
     let mut marks = Viewpoints::none(t.cells);
-    let inside: Vec<[f32; 3]> = points.iter().copied().filter(|p| t.parts.of_point(*p).is_some()).collect();
+    let inside: Vec<[f32; 3]> = points
+        .iter()
+        .copied()
+        .filter(|p| t.parts.of_point(*p).is_some())
+        .collect();
     if inside.is_empty() {
         return Err(PlacesError::None(
-            "none of the viewpoints is in the view box; are they in the scene's units and axes?".to_owned(),
+            "none of the viewpoints is in the view box; are they in the scene's units and axes?"
+                .to_owned(),
         ));
     }
     for point in &inside {
@@ -68,7 +73,13 @@ pub fn mark_around(
         }
     }
     if reach > 0.0 {
-        cast_from_all(t, inside.clone(), f64::from(reach), &mut marks, &mut |_, _| {})?;
+        cast_from_all(
+            t,
+            inside.clone(),
+            f64::from(reach),
+            &mut marks,
+            &mut |_, _| {},
+        )?;
     }
     Ok((marks, points.len() - inside.len()))
 }
@@ -89,9 +100,15 @@ pub fn mark_reachable(
     let mut open = seeds.to_vec();
     while !open.is_empty() {
         let mut next = Vec::new();
-        cast_from_all(t, std::mem::take(&mut open), f64::INFINITY, &mut marks, &mut |_, point| {
-            next.push(point);
-        })?;
+        cast_from_all(
+            t,
+            std::mem::take(&mut open),
+            f64::INFINITY,
+            &mut marks,
+            &mut |_, point| {
+                next.push(point);
+            },
+        )?;
         progress(marks.marked());
         open = next;
     }
@@ -108,7 +125,11 @@ pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, Place
         let Some(part) = t.parts.of_point(*seed) else {
             let whole = t.parts.whole();
             let (min, max) = (whole.min.to_array(), whole.max.to_array());
-            return Err(PlacesError::Outside { point: *seed, min, max });
+            return Err(PlacesError::Outside {
+                point: *seed,
+                min,
+                max,
+            });
         };
         check_free(t, *seed)?;
         parts.push(part);
@@ -227,11 +248,15 @@ fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), PlacesError> {
         return Ok(());
     }
     for object in t.scene.objects() {
-        let own = &t.scene.triangles()[object.first as usize..(object.first + object.count) as usize];
+        let own =
+            &t.scene.triangles()[object.first as usize..(object.first + object.count) as usize];
         let bounds = own.iter().fold(Aabb::EMPTY, |all, t| all.union(t.bounds()));
         let around = winding(own, glam::Vec3::from(point).as_dvec3());
         if around > 0.5 && bounds != t.scene.bounds() {
-            return Err(PlacesError::Solid { point, object: object.name.clone() });
+            return Err(PlacesError::Solid {
+                point,
+                object: object.name.clone(),
+            });
         }
     }
     Ok(())

@@ -14,7 +14,9 @@ pub fn walk(
     end: f64,
     mut each: impl FnMut([u32; 3], [f32; 3]),
 ) {
-    let Some(mut part) = parts.of_point(origin) else { return };
+    let Some(mut part) = parts.of_point(origin) else {
+        return;
+    };
     let (o, d) = (origin.map(f64::from), direction.map(f64::from));
     let sides = parts.sides();
     let length = d.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -37,7 +39,11 @@ pub fn walk(
             return;
         }
         from = to.max(from);
-        part[axis] = if d[axis] > 0.0 { part[axis] + 1 } else { part[axis].wrapping_sub(1) };
+        part[axis] = if d[axis] > 0.0 {
+            part[axis] + 1
+        } else {
+            part[axis].wrapping_sub(1)
+        };
         if part[axis] >= sides[axis] {
             return;
         }

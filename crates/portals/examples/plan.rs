@@ -65,29 +65,55 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Err("usage: plan SCENE X,Y,Z x|y|z OUT.svg [NXxNYxNZ]".into());
     };
     let point: Vec<f32> = point.split(',').map(str::parse).collect::<Result<_, _>>()?;
-    let point: [f32; 3] = point.try_into().map_err(|_| "give three numbers as in 1,2,3")?;
-    let axis = ["x", "y", "z"].iter().position(|a| a == up).ok_or("UP is x, y or z")?;
+    let point: [f32; 3] = point
+        .try_into()
+        .map_err(|_| "give three numbers as in 1,2,3")?;
+    let axis = ["x", "y", "z"]
+        .iter()
+        .position(|a| a == up)
+        .ok_or("UP is x, y or z")?;
     let start = Instant::now();
     let scene = sightline_scene::load(Path::new(path))?;
-    println!("read {} triangles: {:.0} ms", scene.len(), milliseconds(start));
+    println!(
+        "read {} triangles: {:.0} ms",
+        scene.len(),
+        milliseconds(start)
+    );
 
     let start = Instant::now();
     let mut tree = Tree::new(&scene, &[point]);
     let found = enclose(&mut tree, &[point], Limits::default(), &mut |_| true);
-    let inside: Vec<LeafId> = reached(&tree, &[point]).into_iter().filter(|l| *l != OUTSIDE).collect();
+    let inside: Vec<LeafId> = reached(&tree, &[point])
+        .into_iter()
+        .filter(|l| *l != OUTSIDE)
+        .collect();
     let of = (inside.len(), tree.len() - 1);
     let answer = match found {
         Enclosure::Closed => "walls enclose the point",
         Enclosure::Leak(..) => "a way leads out",
         Enclosure::Unknown | Enclosure::Stopped => "there are too many walls",
     };
-    println!("divide until {answer}: {} of {} leaves reached: {:.0} ms", of.0, of.1, milliseconds(start));
+    println!(
+        "divide until {answer}: {} of {} leaves reached: {:.0} ms",
+        of.0,
+        of.1,
+        milliseconds(start)
+    );
 
     if let Some(grid) = args.get(5) {
         let start = Instant::now();
         let region = region_of(&tree, &inside)?;
-        let partition = Partition::new(&scene, Some(&region), scene.bounds(), Limits::default(), &|| false)?;
-        println!("partition with outlines and parts: {:.0} ms", milliseconds(start));
+        let partition = Partition::new(
+            &scene,
+            Some(&region),
+            scene.bounds(),
+            Limits::default(),
+            &|| false,
+        )?;
+        println!(
+            "partition with outlines and parts: {:.0} ms",
+            milliseconds(start)
+        );
         let grid: Vec<u32> = grid.split('x').map(str::parse).collect::<Result<_, _>>()?;
         let grid: [u32; 3] = grid.try_into().map_err(|_| "give cells as in 8x8x8")?;
         let start = Instant::now();
@@ -100,18 +126,29 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Off the corners, which often have round coordinates.
     let cut = Cut(
         axis,
-        f64::from(point[axis]) + 1e-5 * f64::from((scene.bounds().max - scene.bounds().min).max_element()),
+        f64::from(point[axis])
+            + 1e-5 * f64::from((scene.bounds().max - scene.bounds().min).max_element()),
     );
     let leaves = solids(&tree, &inside);
-    let portals: BTreeSet<PortalId> =
-        inside.iter().flat_map(|l| tree.leaf(*l).portals.iter().copied()).collect();
+    let portals: BTreeSet<PortalId> = inside
+        .iter()
+        .flat_map(|l| tree.leaf(*l).portals.iter().copied())
+        .collect();
     let walls = scene.triangles().iter().map(|t| t.v.map(|v| v.as_dvec3()));
     let walls: Vec<_> = walls.filter_map(|v| cut.section(&v)).collect();
-    let edges: Vec<_> =
-        leaves.iter().flat_map(|s| &s.faces).filter_map(|f| cut.section(f.corners())).collect();
-    let doors: Vec<_> = portals.iter().filter_map(|p| cut.section(tree.portal(*p).face.corners())).collect();
+    let edges: Vec<_> = leaves
+        .iter()
+        .flat_map(|s| &s.faces)
+        .filter_map(|f| cut.section(f.corners()))
+        .collect();
+    let doors: Vec<_> = portals
+        .iter()
+        .filter_map(|p| cut.section(tree.portal(*p).face.corners()))
+        .collect();
     let ends = edges.iter().flatten();
-    let bounds = ends.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[a, b], p| [a.min(*p), b.max(*p)]);
+    let bounds = ends.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[a, b], p| {
+        [a.min(*p), b.max(*p)]
+    });
     let [across, along] = [[2, 1], [0, 2], [0, 1]][axis];
     let scale = (WIDTH - 20.0) / (bounds[1][across] - bounds[0][across]);
     let height = (bounds[1][along] - bounds[0][along]) * scale + 20.0;
@@ -123,13 +160,35 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {WIDTH} {height:.0}\" fill=\"none\">\n\
          <rect width=\"{WIDTH}\" height=\"{height:.0}\" fill=\"#fff\"/>\n"
     );
-    lines(&mut svg, "stroke=\"#999\" stroke-width=\"0.5\"", &project, &edges)?;
-    lines(&mut svg, "stroke=\"#1a9850\" stroke-width=\"1.4\"", &project, &doors)?;
-    lines(&mut svg, "stroke=\"#000\" stroke-width=\"1.2\"", &project, &walls)?;
+    lines(
+        &mut svg,
+        "stroke=\"#999\" stroke-width=\"0.5\"",
+        &project,
+        &edges,
+    )?;
+    lines(
+        &mut svg,
+        "stroke=\"#1a9850\" stroke-width=\"1.4\"",
+        &project,
+        &doors,
+    )?;
+    lines(
+        &mut svg,
+        "stroke=\"#000\" stroke-width=\"1.2\"",
+        &project,
+        &walls,
+    )?;
     let [x, y] = project(Vec3::from(point).as_dvec3());
-    writeln!(svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"#d73027\"/>\n</svg>")?;
+    writeln!(
+        svg,
+        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"5\" fill=\"#d73027\"/>\n</svg>"
+    )?;
     std::fs::write(out, svg)?;
-    println!("wrote {out}: {} portals and {} walls in the section", doors.len(), walls.len());
+    println!(
+        "wrote {out}: {} portals and {} walls in the section",
+        doors.len(),
+        walls.len()
+    );
     Ok(())
 }
 

@@ -1,13 +1,19 @@
 //! What portals and exact queries list in random buildings, straight and turned by half a radian. Corners of
 //! these walls lie on the edges of others, so turning opens cracks.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "this program's output is its purpose")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "this program's output is its purpose"
+)]
 
 #[path = "../tests/common/mod.rs"]
 mod common;
 
 fn main() {
-    println!("building, angle: parts of space, triangles listed by portals and by exact queries, on average");
+    println!(
+        "building, angle: parts of space, triangles listed by portals and by exact queries, on average"
+    );
     for seed in 0..4 {
         for angle in [0.0, 0.5] {
             let of = common::lists(seed, angle);

@@ -42,12 +42,24 @@ struct Node {
 ///
 /// # Panics
 /// When `most` is 0 or above the most boxes of a [`KdTree`].
-pub fn along_walls(scene: &Scene, view_box: Aabb, most: usize, is_used: &dyn Fn(Aabb) -> bool) -> KdTree {
+pub fn along_walls(
+    scene: &Scene,
+    view_box: Aabb,
+    most: usize,
+    is_used: &dyn Fn(Aabb) -> bool,
+) -> KdTree {
     let largest = view_box.min.abs().max(view_box.max.abs()).max_element();
     let least = largest * f32::EPSILON * ROUNDING * LEAST;
-    let walls: Vec<Wall> = by_place(scene).into_iter().filter_map(|id| wall(scene, id)).collect();
+    let walls: Vec<Wall> = by_place(scene)
+        .into_iter()
+        .filter_map(|id| wall(scene, id))
+        .collect();
     let all: Vec<u32> = (0..walls.len() as u32).collect();
-    let mut nodes = vec![Node { of: view_box, depth: 0, split: None }];
+    let mut nodes = vec![Node {
+        of: view_box,
+        depth: 0,
+        split: None,
+    }];
     let mut boxes = 1;
     // Volumes are not negative, so their bits are in their order; the first of equals comes first.
     let mut open = BinaryHeap::new();
@@ -62,8 +74,14 @@ pub fn along_walls(scene: &Scene, view_box: Aabb, most: usize, is_used: &dyn Fn(
         && let Some((_, Reverse(node), inside)) = open.pop()
     {
         let (of, depth) = (nodes[node].of, nodes[node].depth);
-        let wall = if depth < DEEP { best(&walls, &inside, of, least) } else { None };
-        let Some((axis, at)) = wall.or_else(|| middle(of, least)) else { continue };
+        let wall = if depth < DEEP {
+            best(&walls, &inside, of, least)
+        } else {
+            None
+        };
+        let Some((axis, at)) = wall.or_else(|| middle(of, least)) else {
+            continue;
+        };
         let [mut below, mut above] = [of; 2];
         below.max[axis] = at;
         above.min[axis] = at;
@@ -71,8 +89,15 @@ pub fn along_walls(scene: &Scene, view_box: Aabb, most: usize, is_used: &dyn Fn(
         nodes[node].split = Some((axis, at, children));
         boxes += 1;
         for (of, child) in [below, above].into_iter().zip(children) {
-            nodes.push(Node { of, depth: depth + 1, split: None });
-            let in_it = inside.iter().copied().filter(|k| covered(&walls[*k as usize], of) > 0.0);
+            nodes.push(Node {
+                of,
+                depth: depth + 1,
+                split: None,
+            });
+            let in_it = inside
+                .iter()
+                .copied()
+                .filter(|k| covered(&walls[*k as usize], of) > 0.0);
             if depth + 1 < MOST_PLANES {
                 offer(&mut open, child, of, in_it.collect());
             }
@@ -98,7 +123,11 @@ fn wall(scene: &Scene, id: u32) -> Option<Wall> {
     let axis = (0..3).find(|a| v.iter().all(|p| p[*a] == v[0][*a]))?;
     let along = |p: Vec3| DVec2::new(f64::from(p[(axis + 1) % 3]), f64::from(p[(axis + 2) % 3]));
     // −0 and 0 are one level.
-    blocks(scene, id).then(|| Wall { axis, level: v[0][axis] + 0.0, corners: v.map(along) })
+    blocks(scene, id).then(|| Wall {
+        axis,
+        level: v[0][axis] + 0.0,
+        corners: v.map(along),
+    })
 }
 
 /// The area of a wall within a box; 0 if its level is not in the closed box.
@@ -114,8 +143,12 @@ fn covered(wall: &Wall, of: Aabb) -> f64 {
             part = clip(&part, axis, level, sign);
         }
     }
-    let Some(first) = part.first() else { return 0.0 };
-    let fan = part.windows(2).map(|w| (w[0] - *first).perp_dot(w[1] - *first));
+    let Some(first) = part.first() else {
+        return 0.0;
+    };
+    let fan = part
+        .windows(2)
+        .map(|w| (w[0] - *first).perp_dot(w[1] - *first));
     fan.sum::<f64>().abs() / 2.0
 }
 
@@ -141,8 +174,10 @@ fn best(walls: &[Wall], inside: &[u32], of: Aabb, least: f32) -> Option<(usize, 
     let mut areas: BTreeMap<(usize, u32), (f32, f64)> = BTreeMap::new();
     for wall in inside.iter().map(|k| &walls[*k as usize]) {
         if wall.level - of.min[wall.axis] >= least && of.max[wall.axis] - wall.level >= least {
-            areas.entry((wall.axis, wall.level.to_bits())).or_insert((wall.level, 0.0)).1 +=
-                covered(wall, of);
+            areas
+                .entry((wall.axis, wall.level.to_bits()))
+                .or_insert((wall.level, 0.0))
+                .1 += covered(wall, of);
         }
     }
     let size = (of.max - of.min).as_dvec3();
@@ -150,17 +185,28 @@ fn best(walls: &[Wall], inside: &[u32], of: Aabb, least: f32) -> Option<(usize, 
         let section = size[(axis + 1) % 3] * size[(axis + 2) % 3];
         let covered = (area / section).min(1.0);
         let place = f64::from(level - of.min[*axis]) / size[*axis];
-        (covered >= WALL).then_some((covered - UNEVEN * (2.0 * place - 1.0).abs(), (*axis, *level)))
+        (covered >= WALL).then_some((
+            covered - UNEVEN * (2.0 * place - 1.0).abs(),
+            (*axis, *level),
+        ))
     };
-    let better =
-        |best: (f64, (usize, f32)), next: (f64, (usize, f32))| if next.0 > best.0 { next } else { best };
-    areas.iter().filter_map(merit).reduce(better).map(|(_, plane)| plane)
+    let better = |best: (f64, (usize, f32)), next: (f64, (usize, f32))| {
+        if next.0 > best.0 { next } else { best }
+    };
+    areas
+        .iter()
+        .filter_map(merit)
+        .reduce(better)
+        .map(|(_, plane)| plane)
 }
 
 /// The middle of the longest side of a box.
 fn middle(of: Aabb, least: f32) -> Option<(usize, f32)> {
     let size = of.max - of.min;
-    let axis = (1..3).fold(0, |longest, a| if size[a] > size[longest] { a } else { longest });
+    let axis = (1..3).fold(
+        0,
+        |longest, a| if size[a] > size[longest] { a } else { longest },
+    );
     let at = of.min[axis].midpoint(of.max[axis]) + 0.0;
     (at - of.min[axis] >= least && of.max[axis] - at >= least).then_some((axis, at))
 }
@@ -174,22 +220,35 @@ mod tests {
     fn scene() -> Scene {
         let at = |y: f32, z: f32| Vec3::new(0.25, y, z);
         let triangles = vec![
-            Triangle { v: [at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0)] },
-            Triangle { v: [at(1.0, 1.0), at(1.0, 0.0), at(0.0, 1.0)] },
+            Triangle {
+                v: [at(0.0, 0.0), at(1.0, 0.0), at(0.0, 1.0)],
+            },
+            Triangle {
+                v: [at(1.0, 1.0), at(1.0, 0.0), at(0.0, 1.0)],
+            },
         ];
-        let object = Object { name: "wall".to_owned(), first: 0, count: 2 };
+        let object = Object {
+            name: "wall".to_owned(),
+            first: 0,
+            count: 2,
+        };
         Scene::new("wall", triangles, vec![object]).unwrap()
     }
 
     #[test]
     fn walls_come_first_and_then_the_middle() {
         let cube = Aabb::new(Vec3::ZERO, Vec3::ONE);
-        let of = |most, is_used: &dyn Fn(Aabb) -> bool| along_walls(&scene(), cube, most, is_used).parts();
+        let of = |most, is_used: &dyn Fn(Aabb) -> bool| {
+            along_walls(&scene(), cube, most, is_used).parts()
+        };
         assert_eq!(of(1, &|_| true), (vec![3], vec![]));
         assert_eq!(of(2, &|_| true), (vec![0, 3, 3], vec![0.25]));
         // The larger box is halved, along y as its sides along y and z are the longest.
         assert_eq!(of(3, &|_| true), (vec![0, 3, 1, 3, 3], vec![0.25, 0.5]));
-        assert_eq!(of(8, &|of| of.max.x <= 0.25 || of.min == Vec3::ZERO).1[0], 0.25);
+        assert_eq!(
+            of(8, &|of| of.max.x <= 0.25 || of.min == Vec3::ZERO).1[0],
+            0.25
+        );
         assert_eq!(of(8, &|_| false), (vec![3], vec![]));
     }
 
@@ -199,12 +258,22 @@ mod tests {
         let floor = |k: usize| {
             let (x, y) = (1.0 - k as f32 / 400.0, k as f32);
             let at = |u: f32, v: f32| Vec3::new(x * u, y, x * v);
-            [[at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0)], [at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]]
-                .map(|v| Triangle { v })
+            [
+                [at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0)],
+                [at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)],
+            ]
+            .map(|v| Triangle { v })
         };
         let triangles: Vec<Triangle> = (0..150).flat_map(floor).collect();
-        let object = Object { name: "tower".to_owned(), first: 0, count: triangles.len() as u32 };
+        let object = Object {
+            name: "tower".to_owned(),
+            first: 0,
+            count: triangles.len() as u32,
+        };
         let tower = Scene::new("tower", triangles, vec![object]).unwrap();
-        assert_eq!(along_walls(&tower, tower.bounds(), 128, &|_| true).boxes(), 128);
+        assert_eq!(
+            along_walls(&tower, tower.bounds(), 128, &|_| true).boxes(),
+            128
+        );
     }
 }

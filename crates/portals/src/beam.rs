@@ -20,8 +20,20 @@ const MOST_TURN: f64 = 1e-4;
 
 /// The pairs of corners of a box that its edges join; corner k has the greater coordinate along axis i where
 /// bit i of k is set.
-const EDGES: [[usize; 2]; 12] =
-    [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]];
+const EDGES: [[usize; 2]; 12] = [
+    [0, 1],
+    [2, 3],
+    [4, 5],
+    [6, 7],
+    [0, 2],
+    [1, 3],
+    [4, 6],
+    [5, 7],
+    [0, 4],
+    [1, 5],
+    [2, 6],
+    [3, 7],
+];
 
 /// A convex body from which lines come.
 #[derive(Clone, Debug)]
@@ -44,7 +56,14 @@ impl Body {
     /// A box.
     pub fn of_box(bounds: [DVec3; 2]) -> Self {
         let corner = |k: usize| DVec3::from([0, 1, 2].map(|i| bounds[k >> i & 1][i]));
-        Self::of(Hull { corners: (0..8).map(corner).collect(), slack: 0.0, bounds }, EDGES.into_iter())
+        Self::of(
+            Hull {
+                corners: (0..8).map(corner).collect(),
+                slack: 0.0,
+                bounds,
+            },
+            EDGES.into_iter(),
+        )
     }
 
     /// A polygon, by its corners in order.
@@ -55,8 +74,12 @@ impl Body {
 
     fn of(hull: Hull, edges: impl Iterator<Item = [usize; 2]>) -> Self {
         let corners = &hull.corners;
-        let off = |edge: [usize; 2]| farthest(edge.map(|k| corners[k]), corners).map(|off| (edge, off));
-        Self { edges: edges.filter_map(off).collect(), hull }
+        let off =
+            |edge: [usize; 2]| farthest(edge.map(|k| corners[k]), corners).map(|off| (edge, off));
+        Self {
+            edges: edges.filter_map(off).collect(),
+            hull,
+        }
     }
 }
 
@@ -72,7 +95,12 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
             out.push(HalfSpace::across(axis, false, p_hi));
         }
     }
-    let mut planes = Planes { body: &body.hull, polygon, errors, out };
+    let mut planes = Planes {
+        body: &body.hull,
+        polygon,
+        errors,
+        out,
+    };
     let through = &polygon.corners;
     // Of the planes through an edge, only the one that touches the other has it on one side.
     for (edge, inner) in &body.edges {
@@ -83,7 +111,9 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
     let n = through.len();
     for k in 0..n {
         let edge = [through[k], through[(k + 1) % n]];
-        let Some(inner) = farthest(edge, through) else { continue };
+        let Some(inner) = farthest(edge, through) else {
+            continue;
+        };
         planes.add(edge, touching(edge, &body.hull.corners, inner), -1.0);
     }
 }
@@ -92,7 +122,10 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
 fn farthest([a, b]: [DVec3; 2], corners: &[DVec3]) -> Option<DVec3> {
     let edge = b - a;
     let far = |c: &DVec3| edge.cross(*c - a).length_squared();
-    corners.iter().copied().max_by(|p, q| far(p).total_cmp(&far(q)))
+    corners
+        .iter()
+        .copied()
+        .max_by(|p, q| far(p).total_cmp(&far(q)))
 }
 
 /// The corner through which a plane through an edge has no corner on the side of `inner`, if there is one.
@@ -144,7 +177,11 @@ impl Planes<'_> {
         let side = if heights[1] > -heights[0] { 1.0 } else { -1.0 };
         let along = edge / edge_length;
         let out = (towards - along * towards.dot(along)) / apart;
-        for side in if heights[1] - heights[0] <= 2.0 * gap { [side, -side] } else { [side, side] } {
+        for side in if heights[1] - heights[0] <= 2.0 * gap {
+            [side, -side]
+        } else {
+            [side, side]
+        } {
             let normal = normal * side + out * (turn * up);
             if self.take(normal) {
                 return;
@@ -154,16 +191,32 @@ impl Planes<'_> {
 
     fn take(&mut self, normal: DVec3) -> bool {
         let own = self.errors.height();
-        let below = self.body.corners.iter().map(|p| normal.dot(*p)).fold(f64::NEG_INFINITY, f64::max);
-        let above = self.polygon.corners.iter().map(|p| normal.dot(*p)).fold(f64::INFINITY, f64::min);
+        let below = self
+            .body
+            .corners
+            .iter()
+            .map(|p| normal.dot(*p))
+            .fold(f64::NEG_INFINITY, f64::max);
+        let above = self
+            .polygon
+            .corners
+            .iter()
+            .map(|p| normal.dot(*p))
+            .fold(f64::INFINITY, f64::min);
         let level = above - self.polygon.slack * 1.01 - own;
         // The body is on the other side for certain.
         let is_apart = below + self.body.slack * 1.01 + own <= level;
         if !is_apart {
             return false;
         }
-        let Some(half) = HalfSpace::new(normal, level) else { return false };
-        if !self.out.iter().any(|known| (known.normal() - normal).abs().max_element() < ALIKE) {
+        let Some(half) = HalfSpace::new(normal, level) else {
+            return false;
+        };
+        if !self
+            .out
+            .iter()
+            .any(|known| (known.normal() - normal).abs().max_element() < ALIKE)
+        {
             self.out.push(half);
         }
         true

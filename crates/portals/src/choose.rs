@@ -44,7 +44,10 @@ pub struct Choice {
 pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
     let Leaf { detail, begun, .. } = tree.leaf(leaf);
     let mut areas: BTreeMap<PlaneId, f64> = BTreeMap::new();
-    for fragment in detail.iter().filter(|f| begun.is_empty() || begun.binary_search(&f.plane).is_ok()) {
+    for fragment in detail
+        .iter()
+        .filter(|f| begun.is_empty() || begun.binary_search(&f.plane).is_ok())
+    {
         *areas.entry(fragment.plane).or_default() += fragment.face.area();
     }
     let mut areas: Vec<(PlaneId, f64)> = areas.into_iter().collect();
@@ -54,18 +57,34 @@ pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
         let exact = tree.planes().plane(*plane);
         let rounded = section_area(tree, leaf, exact);
         // Rounding can lose a small section that there is.
-        let size = if rounded > 0.0 { rounded } else { tree.section(leaf, *plane)?.area() };
+        let size = if rounded > 0.0 {
+            rounded
+        } else {
+            tree.section(leaf, *plane)?.area()
+        };
         let section = size / face_of_box(tree, exact.axis());
         if !begun.is_empty() {
-            return Some(Choice { plane: *plane, merit: 1.0, section });
+            return Some(Choice {
+                plane: *plane,
+                merit: 1.0,
+                section,
+            });
         }
         let near = near(tree);
-        let area: f64 = detail.iter().filter(|f| is_near(f, exact, near)).map(|f| f.face.area()).sum();
+        let area: f64 = detail
+            .iter()
+            .filter(|f| is_near(f, exact, near))
+            .map(|f| f.face.area())
+            .sum();
         let covered = (area / size).min(1.0);
         let (cut, uneven) = balance(detail, *plane, exact);
         let merit = covered - CLEAVING * cut - UNEVEN * uneven;
         let merit = if merit.is_finite() { merit } else { -1.0 };
-        Some(Choice { plane: *plane, merit, section })
+        Some(Choice {
+            plane: *plane,
+            merit,
+            section,
+        })
     };
     let better = |best: Option<Choice>, c: Choice| match best {
         Some(best) if c.merit.total_cmp(&best.merit) != Ordering::Greater => Some(best),
@@ -76,7 +95,10 @@ pub fn best_plane(tree: &Tree, leaf: LeafId) -> Option<Choice> {
 
 /// Twice the area of the section of a plane with a leaf, rounded.
 fn section_area(tree: &Tree, leaf: LeafId, plane: &Plane) -> f64 {
-    let ([lo, hi], axis) = ([tree.bounds().min, tree.bounds().max].map(|p| p.as_dvec3()), plane.axis());
+    let ([lo, hi], axis) = (
+        [tree.bounds().min, tree.bounds().max].map(|p| p.as_dvec3()),
+        plane.axis(),
+    );
     let (n, level) = (plane.normal(), plane.rounded()[3]);
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     let corner = |at_u: f64, at_v: f64| {
@@ -85,18 +107,29 @@ fn section_area(tree: &Tree, leaf: LeafId, plane: &Plane) -> f64 {
         p[axis] = (level - n[u] * at_u - n[v] * at_v) / n[axis];
         p
     };
-    let mut polygon =
-        vec![corner(lo[u], lo[v]), corner(hi[u], lo[v]), corner(hi[u], hi[v]), corner(lo[u], hi[v])];
+    let mut polygon = vec![
+        corner(lo[u], lo[v]),
+        corner(hi[u], lo[v]),
+        corner(hi[u], hi[v]),
+        corner(lo[u], hi[v]),
+    ];
     let mut cut = Vec::new();
     keep(&mut polygon, &mut cut, |p| p[axis] - lo[axis]);
     keep(&mut polygon, &mut cut, |p| hi[axis] - p[axis]);
     for (wall, side) in &tree.leaf(leaf).walls {
-        let (wall, up) = (tree.planes().plane(*wall), if side.is_gt() { 1.0 } else { -1.0 });
+        let (wall, up) = (
+            tree.planes().plane(*wall),
+            if side.is_gt() { 1.0 } else { -1.0 },
+        );
         let (n, level) = (wall.normal(), wall.rounded()[3]);
         keep(&mut polygon, &mut cut, |p| (n.dot(*p) - level) * up);
     }
     let first = polygon.first().copied().unwrap_or_default();
-    polygon.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
+    polygon
+        .windows(2)
+        .map(|w| (w[0] - first).cross(w[1] - first))
+        .sum::<DVec3>()
+        .length()
 }
 
 /// Cuts off the part of a convex polygon where a height is negative. `cut` is kept to reuse its memory.
@@ -125,23 +158,39 @@ fn keep(polygon: &mut Vec<DVec3>, cut: &mut Vec<DVec3>, height: impl Fn(&DVec3) 
 pub fn split_wall(tree: &mut Tree, leaf: LeafId, plane: PlaneId) -> LeafId {
     let (exact, near) = (tree.planes().plane(plane), near(tree));
     let Leaf { detail, begun, .. } = tree.leaf(leaf);
-    let of_wall = detail.iter().filter(|f| f.plane != plane && is_near(f, exact, near)).map(|f| f.plane);
+    let of_wall = detail
+        .iter()
+        .filter(|f| f.plane != plane && is_near(f, exact, near))
+        .map(|f| f.plane);
     let mut planes: Vec<PlaneId> = of_wall.chain(begun.iter().copied()).collect();
     planes.sort_unstable();
     planes.dedup();
     let upper = tree.split(leaf, plane);
-    [leaf, upper].into_iter().for_each(|half| tree.set_begun(half, &planes));
+    [leaf, upper]
+        .into_iter()
+        .for_each(|half| tree.set_begun(half, &planes));
     upper
 }
 
 /// How far corners of a wall may be from its plane.
 fn near(tree: &Tree) -> f64 {
-    ROUNDED * f64::from(tree.bounds().min.abs().max(tree.bounds().max.abs()).max_element())
+    ROUNDED
+        * f64::from(
+            tree.bounds()
+                .min
+                .abs()
+                .max(tree.bounds().max.abs())
+                .max_element(),
+        )
 }
 
 /// Whether a fragment is in a plane up to rounding.
 fn is_near(fragment: &Fragment, plane: &Plane, near: f64) -> bool {
-    fragment.face.corners().iter().all(|c| plane.distance(*c).abs() <= near)
+    fragment
+        .face
+        .corners()
+        .iter()
+        .all(|c| plane.distance(*c).abs() <= near)
 }
 
 /// Twice the area of the face of the tree's box across an axis.
@@ -171,5 +220,9 @@ fn balance(detail: &[Fragment], id: PlaneId, plane: &Plane) -> (f64, f64) {
             _ => below += 1.0,
         }
     }
-    if all > 0.0 { (cut / all, (below - above).abs() / all) } else { (0.0, 0.0) }
+    if all > 0.0 {
+        (cut / all, (below - above).abs() / all)
+    } else {
+        (0.0, 0.0)
+    }
 }

@@ -22,8 +22,10 @@ pub fn divide(faces: Vec<Face>, plane: &Plane, of: Aabb) -> [Vec<Face>; 2] {
         (true, true) => {
             let cap = section(plane, &faces, of);
             [Ordering::Less, Ordering::Greater].map(|keep| {
-                let parts =
-                    faces.iter().zip(&sides).filter_map(|(face, sides)| face.part(plane, sides, keep));
+                let parts = faces
+                    .iter()
+                    .zip(&sides)
+                    .filter_map(|(face, sides)| face.part(plane, sides, keep));
                 parts.chain(cap.clone()).collect()
             })
         }

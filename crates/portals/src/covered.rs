@@ -64,7 +64,10 @@ fn borders(face: &Face, plane: &Plane) -> Vec<(Plane, Ordering)> {
     let n = points.len();
     (0..n)
         .map(|i| {
-            let border = Plane::of(predicates::plane_along([&exact[i], &exact[(i + 1) % n]], plane.axis()));
+            let border = Plane::of(predicates::plane_along(
+                [&exact[i], &exact[(i + 1) % n]],
+                plane.axis(),
+            ));
             let next = (i + 2) % n;
             let inner = border.side(&points[next], face.corners()[next]);
             (border, inner)

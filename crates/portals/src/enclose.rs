@@ -26,7 +26,10 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { leaves: 1 << 16, work: 1 << 30 }
+        Self {
+            leaves: 1 << 16,
+            work: 1 << 30,
+        }
     }
 }
 
@@ -50,7 +53,10 @@ pub enum Enclosure {
 
 /// The leaves that hold the points; of a point on planes, those on all sides of it.
 pub fn seeds(tree: &Tree, points: &[[f32; 3]]) -> Vec<LeafId> {
-    let mut leaves: Vec<LeafId> = points.iter().flat_map(|p| tree.leaves_of(Vec3::from(*p))).collect();
+    let mut leaves: Vec<LeafId> = points
+        .iter()
+        .flat_map(|p| tree.leaves_of(Vec3::from(*p)))
+        .collect();
     leaves.sort_unstable();
     leaves.dedup();
     leaves
@@ -66,7 +72,10 @@ pub fn enclose(
 ) -> Enclosure {
     let mut choices: Vec<Option<Choice>> = Vec::new();
     let mut looked = 0u64;
-    let limits = Limits { work: limits.work.saturating_add(tree.work()), ..limits };
+    let limits = Limits {
+        work: limits.work.saturating_add(tree.work()),
+        ..limits
+    };
     loop {
         let Some(way) = way_out(tree, &seeds(tree, points), &mut looked) else {
             return part_rooms(tree, points, limits, looked, tell);
@@ -74,7 +83,12 @@ pub fn enclose(
         if !tell(tree.len()) {
             return Enclosure::Stopped;
         }
-        let open: Vec<LeafId> = way.0.iter().copied().filter(|l| !tree.leaf(*l).detail.is_empty()).collect();
+        let open: Vec<LeafId> = way
+            .0
+            .iter()
+            .copied()
+            .filter(|l| !tree.leaf(*l).detail.is_empty())
+            .collect();
         if open.is_empty() {
             let (leaves, portals) = widest_way(tree, &seeds(tree, points)).unwrap_or(way);
             return Enclosure::Leak(leaves, portals);
@@ -89,8 +103,11 @@ pub fn enclose(
         let merit = |leaf: &LeafId| choices[leaf.0 as usize].map_or(-1.0, |c| c.merit);
         let most = open.iter().map(merit).fold(f64::NEG_INFINITY, f64::max);
         // What covers nearly as much as the best is split in the same round: a round looks at all leaves.
-        let worth: Vec<LeafId> =
-            open.iter().copied().filter(|l| merit(l) >= most - 0.1 * most.abs()).collect();
+        let worth: Vec<LeafId> = open
+            .iter()
+            .copied()
+            .filter(|l| merit(l) >= most - 0.1 * most.abs())
+            .collect();
         for leaf in worth {
             if tree.len() >= limits.leaves || tree.work() + looked >= limits.work {
                 return Enclosure::Unknown;
@@ -116,10 +133,15 @@ fn part_rooms(
     let mut whole: Vec<bool> = Vec::new();
     loop {
         let leaves = reached(tree, points);
-        looked += leaves.iter().map(|l| tree.leaf(*l).portals.len() as u64).sum::<u64>();
+        looked += leaves
+            .iter()
+            .map(|l| tree.leaf(*l).portals.len() as u64)
+            .sum::<u64>();
         whole.resize(tree.len(), false);
-        let open: Vec<LeafId> =
-            leaves.into_iter().filter(|l| !whole[l.0 as usize] && !tree.leaf(*l).detail.is_empty()).collect();
+        let open: Vec<LeafId> = leaves
+            .into_iter()
+            .filter(|l| !whole[l.0 as usize] && !tree.leaf(*l).detail.is_empty())
+            .collect();
         if open.is_empty() {
             return Enclosure::Closed;
         }
@@ -140,14 +162,22 @@ fn part_rooms(
 }
 
 /// A way from the seeds to the outside, through as few leaves with detail as possible.
-fn way_out(tree: &Tree, seeds: &[LeafId], looked: &mut u64) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
+fn way_out(
+    tree: &Tree,
+    seeds: &[LeafId],
+    looked: &mut u64,
+) -> Option<(Vec<LeafId>, Vec<PortalId>)> {
     let cost = |leaf: LeafId| u32::from(!tree.leaf(leaf).detail.is_empty());
     // For each leaf reached: its cost, and the portal through which it was entered.
     let mut reached: Vec<Option<(u32, Option<PortalId>)>> = vec![None; tree.len()];
     let mut open: VecDeque<(u32, LeafId)> = VecDeque::new();
     for seed in seeds {
         reached[seed.0 as usize] = Some((cost(*seed), None));
-        if cost(*seed) == 0 { open.push_front((0, *seed)) } else { open.push_back((1, *seed)) }
+        if cost(*seed) == 0 {
+            open.push_front((0, *seed))
+        } else {
+            open.push_back((1, *seed))
+        }
     }
     while let Some((at, leaf)) = open.pop_front() {
         if reached[leaf.0 as usize].is_some_and(|(c, _)| c < at) {
@@ -162,12 +192,18 @@ fn way_out(tree: &Tree, seeds: &[LeafId], looked: &mut u64) -> Option<(Vec<LeafI
             let total = at + cost(next);
             if reached[next.0 as usize].is_none_or(|(c, _)| total < c) {
                 reached[next.0 as usize] = Some((total, Some(*portal)));
-                if total == at { open.push_front((total, next)) } else { open.push_back((total, next)) }
+                if total == at {
+                    open.push_front((total, next))
+                } else {
+                    open.push_back((total, next))
+                }
             }
         }
     }
     reached[OUTSIDE.0 as usize]?;
-    Some(back(tree, |leaf| reached[leaf.0 as usize].and_then(|(_, portal)| portal)))
+    Some(back(tree, |leaf| {
+        reached[leaf.0 as usize].and_then(|(_, portal)| portal)
+    }))
 }
 
 /// The way to the outside that `entered` tells backwards: the portal through which a leaf was entered.
@@ -192,7 +228,12 @@ fn widest_way(tree: &Tree, seeds: &[LeafId]) -> Option<(Vec<LeafId>, Vec<PortalI
     let mut is_done = vec![false; tree.len()];
     // Widths are positive, and the bits of positive doubles are in their order.
     let mut open: BinaryHeap<(u64, Reverse<LeafId>, Option<PortalId>)> = BinaryHeap::new();
-    open.extend(seeds.iter().filter(|l| is_clear(**l)).map(|l| (f64::INFINITY.to_bits(), Reverse(*l), None)));
+    open.extend(
+        seeds
+            .iter()
+            .filter(|l| is_clear(**l))
+            .map(|l| (f64::INFINITY.to_bits(), Reverse(*l), None)),
+    );
     while let Some((width, Reverse(leaf), through)) = open.pop() {
         if std::mem::replace(&mut is_done[leaf.0 as usize], true) {
             continue;

@@ -19,8 +19,16 @@ pub fn open_box(scene: &Scene, of: Aabb, gap: f32) -> Aabb {
     }
     let mut open = of;
     for (axis, [below, above]) in is_walled.into_iter().enumerate() {
-        let lo = if below { of.min[axis] + gap } else { of.min[axis] };
-        let hi = if above { of.max[axis] - gap } else { of.max[axis] };
+        let lo = if below {
+            of.min[axis] + gap
+        } else {
+            of.min[axis]
+        };
+        let hi = if above {
+            of.max[axis] - gap
+        } else {
+            of.max[axis]
+        };
         if lo < hi {
             (open.min[axis], open.max[axis]) = (lo, hi);
         }
@@ -43,7 +51,9 @@ pub fn walls_in_faces(scene: &Scene, of: Aabb) -> Vec<(u32, usize)> {
                 && blocks(scene, id)
         })
     };
-    (0..scene.len()).filter_map(|id| axis_of(id).map(|axis| (id, axis))).collect()
+    (0..scene.len())
+        .filter_map(|id| axis_of(id).map(|axis| (id, axis)))
+        .collect()
 }
 
 #[cfg(test)]
@@ -55,12 +65,21 @@ mod tests {
 
     #[test]
     fn only_faces_with_walls_move() {
-        let wall = Triangle { v: [Vec3::ZERO, Vec3::Y, Vec3::Z] };
-        let object = Object { name: "wall".to_owned(), first: 0, count: 1 };
+        let wall = Triangle {
+            v: [Vec3::ZERO, Vec3::Y, Vec3::Z],
+        };
+        let object = Object {
+            name: "wall".to_owned(),
+            first: 0,
+            count: 1,
+        };
         let scene = Scene::new("wall", vec![wall], vec![object]).unwrap();
         let of = |min: [f32; 3], max: [f32; 3]| Aabb::new(min.into(), max.into());
         let beside = of([0.0; 3], [1.0; 3]);
-        assert_eq!(open_box(&scene, beside, 0.25), of([0.25, 0.0, 0.0], [1.0; 3]));
+        assert_eq!(
+            open_box(&scene, beside, 0.25),
+            of([0.25, 0.0, 0.0], [1.0; 3])
+        );
         // On the other side it is the greater face; beyond the wall's corner none.
         let other = open_box(&scene, of([-1.0, 0.0, 0.0], [0.0, 1.0, 1.0]), 0.25);
         assert_eq!(other, of([-1.0, 0.0, 0.0], [-0.25, 1.0, 1.0]));

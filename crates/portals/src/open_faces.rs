@@ -30,7 +30,10 @@ impl<'a> OpenFaces<'a> {
             let v = scene.triangles()[id as usize].v;
             (axis, v[0][axis], v)
         };
-        Self { walls: walls.into_iter().map(with_corners).collect(), within }
+        Self {
+            walls: walls.into_iter().map(with_corners).collect(),
+            within,
+        }
     }
 }
 
@@ -40,7 +43,8 @@ impl Places for OpenFaces<'_> {
             let flat = |p: Vec3| [p[(axis + 1) % 3], p[(axis + 2) % 3]];
             let [a, b, c, p] = [v[0], v[1], v[2], point].map(flat);
             let sides = [(a, b), (b, c), (c, a)].map(|(a, b)| orient2d_sign(a, b, p));
-            point[*axis] == *level && !(sides.contains(&Ordering::Less) && sides.contains(&Ordering::Greater))
+            point[*axis] == *level
+                && !(sides.contains(&Ordering::Less) && sides.contains(&Ordering::Greater))
         };
         self.within.is_none_or(|within| within.hold(point)) && !self.walls.iter().any(is_on)
     }
@@ -51,21 +55,25 @@ impl Places for OpenFaces<'_> {
             None => vec![face.clone()],
         };
         let plane = Plane::of(face.plane());
-        let covers = self
-            .walls
-            .iter()
-            .filter(|(axis, level, _)| plane.axis() == *axis && plane.across() == Some(f64::from(*level)));
+        let covers = self.walls.iter().filter(|(axis, level, _)| {
+            plane.axis() == *axis && plane.across() == Some(f64::from(*level))
+        });
         let covers: Vec<Face> = covers
             .filter_map(|(_, _, v)| Polygon::triangle(v.map(|p| p.as_dvec3())))
             .map(Face::new)
             .collect();
         let parts = parts.into_iter().map(Face::new).collect();
         let [open, _] = divide_covered(parts, covers, &plane, &mut 0);
-        open.into_iter().flat_map(|part| part.into_polygon().pieces()).collect()
+        open.into_iter()
+            .flat_map(|part| part.into_polygon().pieces())
+            .collect()
     }
 
     fn touch(&self, triangle: [Vec3; 3], within: Aabb) -> bool {
-        shares_area(triangle, within) && self.within.is_none_or(|places| places.touch(triangle, within))
+        shares_area(triangle, within)
+            && self
+                .within
+                .is_none_or(|places| places.touch(triangle, within))
     }
 }
 
@@ -78,7 +86,11 @@ fn shares_area(triangle: [Vec3; 3], of: Aabb) -> bool {
     for wall in Polygon::faces_of(of) {
         let plane = Plane::of(wall.plane());
         let inner = [of.min, of.max].map(|p| plane.side_of(p));
-        let inner = if inner[0] == Ordering::Equal { inner[1] } else { inner[0] };
+        let inner = if inner[0] == Ordering::Equal {
+            inner[1]
+        } else {
+            inner[0]
+        };
         let sides = face.sides(&plane);
         // A triangle in a face is not cut by it.
         if sides.iter().any(|side| *side != Ordering::Equal) {
@@ -102,22 +114,38 @@ mod tests {
     fn lines_leave_through_what_walls_leave_open() {
         let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
         let triangles = vec![
-            Triangle { v: [at(0.0, 0.0, 0.0), at(0.0, 1.0, 0.0), at(0.0, 1.0, 0.5)] },
-            Triangle { v: [at(0.0, 0.0, 0.0), at(0.0, 0.0, 0.5), at(0.0, 1.0, 0.5)] },
-            Triangle { v: [at(0.0, 0.0, 0.25), at(0.0, 1.0, 0.25), at(-1.0, 1.0, 0.25)] },
+            Triangle {
+                v: [at(0.0, 0.0, 0.0), at(0.0, 1.0, 0.0), at(0.0, 1.0, 0.5)],
+            },
+            Triangle {
+                v: [at(0.0, 0.0, 0.0), at(0.0, 0.0, 0.5), at(0.0, 1.0, 0.5)],
+            },
+            Triangle {
+                v: [at(0.0, 0.0, 0.25), at(0.0, 1.0, 0.25), at(-1.0, 1.0, 0.25)],
+            },
         ];
-        let object = Object { name: "wall".to_owned(), first: 0, count: 3 };
+        let object = Object {
+            name: "wall".to_owned(),
+            first: 0,
+            count: 3,
+        };
         let scene = Scene::new("wall", triangles.clone(), vec![object]).unwrap();
         let cube = Aabb::new(Vec3::ZERO, Vec3::ONE);
         let faces = OpenFaces::new(&scene, cube, None);
         let area = |axis: usize, up: bool| -> f64 {
             let parts = faces.parts(&Polygon::face_of(cube, axis, up));
-            parts.into_iter().map(|part| Face::new(part).area() / 2.0).sum()
+            parts
+                .into_iter()
+                .map(|part| Face::new(part).area() / 2.0)
+                .sum()
         };
         assert!((area(0, false) - 0.5).abs() < 1e-12);
         assert!((area(0, true) - 1.0).abs() < 1e-12);
         assert!(faces.hold(at(0.0, 0.5, 0.75)) && !faces.hold(at(0.0, 0.5, 0.25)));
-        assert!(!faces.hold(at(0.0, 0.5, 0.5)), "the edge of the wall is the wall's");
+        assert!(
+            !faces.hold(at(0.0, 0.5, 0.5)),
+            "the edge of the wall is the wall's"
+        );
         assert!(faces.hold(at(0.1, 0.5, 0.25)));
         assert!(faces.touch(triangles[0].v, cube) && !faces.touch(triangles[2].v, cube));
     }

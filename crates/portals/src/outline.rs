@@ -68,14 +68,22 @@ impl HalfSpace {
     pub fn new(normal: DVec3, level: f64) -> Option<Self> {
         let length = normal.length_squared();
         let is_fine = (0.99..=1.0 + 1e-3).contains(&length) && level.is_finite();
-        is_fine.then_some(Self { normal, level, across: None })
+        is_fine.then_some(Self {
+            normal,
+            level,
+            across: None,
+        })
     }
 
     /// The points whose coordinate along an axis is at least (`is_up`) or at most `at`.
     pub fn across(axis: usize, is_up: bool, at: f64) -> Self {
         let mut normal = DVec3::ZERO;
         normal[axis] = if is_up { 1.0 } else { -1.0 };
-        Self { normal, level: if is_up { at } else { -at }, across: Some((axis, is_up)) }
+        Self {
+            normal,
+            level: if is_up { at } else { -at },
+            across: Some((axis, is_up)),
+        }
     }
 
     /// The half-space on one side of a plane, or one that holds it.
@@ -92,7 +100,10 @@ impl HalfSpace {
         let length = DVec3::new(a, b, c).length();
         let turn = if is_above { 1.0 } else { -1.0 };
         // The coefficients are off by u of themselves, and the quotients by 3u more.
-        Self::new(DVec3::new(a, b, c) / length * turn, k / length * turn - errors.height())
+        Self::new(
+            DVec3::new(a, b, c) / length * turn,
+            k / length * turn - errors.height(),
+        )
     }
 
     /// The normal; it points inside.
@@ -131,7 +142,10 @@ impl Hull {
             let error = polygon::is_rounded(point).map(|is| if is { 1.0 } else { 0.0 });
             let error = DVec3::from(error) * at.abs() * (4.0 * U);
             // A sum is off by u of itself, which 4u instead of 3u covers.
-            hull.bounds = [hull.bounds[0].min(at - error), hull.bounds[1].max(at + error)];
+            hull.bounds = [
+                hull.bounds[0].min(at - error),
+                hull.bounds[1].max(at + error),
+            ];
             hull.slack = hull.slack.max(2.0 * error.max_element());
             if !hull.corners.contains(&at) {
                 hull.corners.push(at);
@@ -143,7 +157,11 @@ impl Hull {
     /// Whether the region certainly has no inside in a half-space.
     fn is_outside(&self, of: &HalfSpace, errors: Errors) -> bool {
         if let Some((axis, is_up)) = of.across {
-            let far = if is_up { self.bounds[1][axis] } else { -self.bounds[0][axis] };
+            let far = if is_up {
+                self.bounds[1][axis]
+            } else {
+                -self.bounds[0][axis]
+            };
             if far <= of.level {
                 return true;
             }
@@ -155,7 +173,11 @@ impl Hull {
     /// Whether the region certainly is in a half-space.
     pub fn is_inside(&self, of: &HalfSpace, errors: Errors) -> bool {
         if let Some((axis, is_up)) = of.across {
-            let near = if is_up { self.bounds[0][axis] } else { -self.bounds[1][axis] };
+            let near = if is_up {
+                self.bounds[0][axis]
+            } else {
+                -self.bounds[1][axis]
+            };
             if near >= of.level {
                 return true;
             }
@@ -184,7 +206,12 @@ impl Outline {
         let n = normal.abs();
         let axis = (1..3).fold(0, |best, k| if n[k] > n[best] { k } else { best });
         let hull = Hull::of(&mut polygon.points().iter());
-        Self { off: hull.slack, hull, axis, plane }
+        Self {
+            off: hull.slack,
+            hull,
+            axis,
+            plane,
+        }
     }
 
     /// The part inside some half-spaces; `None` when there is certainly none with an area.
@@ -239,16 +266,30 @@ impl Outline {
         let slack = hull.slack + errors.corner();
         // The region is in the old box, and within the slack of the new corners.
         let around = |[lo, hi]: [DVec3; 2], c: &DVec3| [lo.min(*c), hi.max(*c)];
-        let [lo, hi] = corners.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
+        let [lo, hi] = corners
+            .iter()
+            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
         let wide = DVec3::splat(slack + errors.corner());
         let mut bounds = [hull.bounds[0].max(lo - wide), hull.bounds[1].min(hi + wide)];
         if let Some((axis, is_up)) = of.across {
             let end = usize::from(!is_up);
             let at = if is_up { of.level } else { -of.level };
-            bounds[end][axis] = if is_up { bounds[end][axis].max(at) } else { bounds[end][axis].min(at) };
+            bounds[end][axis] = if is_up {
+                bounds[end][axis].max(at)
+            } else {
+                bounds[end][axis].min(at)
+            };
         }
         let off = self.off + errors.corner();
-        Some(Self { hull: Hull { corners, slack, bounds }, off, ..*self })
+        Some(Self {
+            hull: Hull {
+                corners,
+                slack,
+                bounds,
+            },
+            off,
+            ..*self
+        })
     }
 
     /// The same outline with slack for [`Self::holds`] to find that others are inside.
@@ -272,15 +313,22 @@ impl Outline {
         let (own, its) = (&self.hull, &other.hull);
         let near = errors.corner();
         let apart = 2.0 * (2.0 * near + self.off + other.off);
-        let is_around = own.bounds[0].cmple(its.bounds[0]).all() && own.bounds[1].cmpge(its.bounds[1]).all();
-        if is_around && own.corners == its.corners && its.slack <= own.slack && other.off <= self.off {
+        let is_around =
+            own.bounds[0].cmple(its.bounds[0]).all() && own.bounds[1].cmpge(its.bounds[1]).all();
+        if is_around
+            && own.corners == its.corners
+            && its.slack <= own.slack
+            && other.off <= self.off
+        {
             return true;
         }
         if !is_around || its.slack + apart > own.slack {
             return false;
         }
         let flat: Vec<DVec2> = own.corners.iter().map(|c| self.flat(*c)).collect();
-        its.corners.iter().all(|c| is_within(&flat, self.flat(*c), near))
+        its.corners
+            .iter()
+            .all(|c| is_within(&flat, self.flat(*c), near))
     }
 
     /// The hull with another part of the same plane, up to the errors that [`Self::holds`] explains.
@@ -294,9 +342,16 @@ impl Outline {
         let hull = Hull {
             corners: self.around_all(all),
             slack: own.slack.max(its.slack) + dropped,
-            bounds: [own.bounds[0].min(its.bounds[0]), own.bounds[1].max(its.bounds[1])],
+            bounds: [
+                own.bounds[0].min(its.bounds[0]),
+                own.bounds[1].max(its.bounds[1]),
+            ],
         };
-        Self { hull, off: self.off.max(other.off), ..*self }
+        Self {
+            hull,
+            off: self.off.max(other.off),
+            ..*self
+        }
     }
 
     /// The corners of the convex hull of points in the outline's plane (Andrew 1979).
@@ -338,7 +393,9 @@ fn is_within(polygon: &[DVec2], p: DVec2, near: f64) -> bool {
     let edges = || (0..n).map(|k| (polygon[k], polygon[(k + 1) % n]));
     let turns = edges().map(|(a, b)| (b - a).perp_dot(p - a) / (b - a).length());
     let is_inside = |least: f64, most: f64| least > near || most < -near;
-    let (least, most) = turns.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), t| (l.min(t), m.max(t)));
+    let (least, most) = turns.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), t| {
+        (l.min(t), m.max(t))
+    });
     let from_edge = |(a, b): (DVec2, DVec2)| {
         let along = b - a;
         let t = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);

@@ -96,12 +96,18 @@ impl Partition {
             None => vec![false, true],
         };
         // What encloses a region has divided large leaves.
-        let large = if region.is_some() { f64::INFINITY } else { LARGE };
+        let large = if region.is_some() {
+            f64::INFINITY
+        } else {
+            LARGE
+        };
         let is_inside = divide(&mut tree, is_inside, large, limits, stop)?;
         let lines_in = |leaf: LeafId| is_inside[leaf.0 as usize];
         let inside = above(&tree, &lines_in);
         let bounds = tree.bounds();
-        let errors = Errors::new(f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()));
+        let errors = Errors::new(f64::from(
+            bounds.min.abs().max(bounds.max.abs()).max_element(),
+        ));
         let openings = (0..tree.portals())
             .into_par_iter()
             .map(|k| {
@@ -115,8 +121,20 @@ impl Partition {
             })
             .collect();
         let parts = parts(scene, &tree, &is_inside);
-        let names = scene.objects().iter().map(|object| object.name.clone()).collect();
-        Ok(Self { tree, openings, parts, inside, triangles: scene.len() as usize, names, errors })
+        let names = scene
+            .objects()
+            .iter()
+            .map(|object| object.name.clone())
+            .collect();
+        Ok(Self {
+            tree,
+            openings,
+            parts,
+            inside,
+            triangles: scene.len() as usize,
+            names,
+            errors,
+        })
     }
 
     /// The tree.
@@ -126,16 +144,32 @@ impl Partition {
 
     /// The outline of a portal between two leaves where lines can be.
     pub fn opening(&self, portal: PortalId) -> Option<&Outline> {
-        self.openings[portal.0 as usize].as_ref().map(|opening| &opening.outline)
+        self.openings[portal.0 as usize]
+            .as_ref()
+            .map(|opening| &opening.outline)
     }
 
     /// Whether all of a box is on the far side of such a portal, or in its plane: lines cross it from the
     /// near side. Exact.
     pub fn is_beyond(&self, portal: PortalId, into: LeafId, body: &Body) -> bool {
-        let Portal { plane: Some(plane), leaves, .. } = self.tree.portal(portal) else { return false };
+        let Portal {
+            plane: Some(plane),
+            leaves,
+            ..
+        } = self.tree.portal(portal)
+        else {
+            return false;
+        };
         let plane = self.tree.planes().plane(*plane);
-        let near = if leaves[1] == into { Ordering::Less } else { Ordering::Greater };
-        body.hull.corners.iter().all(|at| plane.side(&Source::Given(*at), *at) != near)
+        let near = if leaves[1] == into {
+            Ordering::Less
+        } else {
+            Ordering::Greater
+        };
+        body.hull
+            .corners
+            .iter()
+            .all(|at| plane.side(&Source::Given(*at), *at) != near)
     }
 
     /// The half-space into which such a portal is crossed.
@@ -151,7 +185,8 @@ impl Partition {
 
     /// The names of the doors that cover an opening, ascending.
     pub fn doors(&self) -> BTreeSet<&str> {
-        let doors = (0..self.tree.portals() as u32).filter_map(|k| self.tree.portal(PortalId(k)).door);
+        let doors =
+            (0..self.tree.portals() as u32).filter_map(|k| self.tree.portal(PortalId(k)).door);
         doors.map(|object| self.name_of(object)).collect()
     }
 
@@ -208,7 +243,9 @@ fn follow(
             }
             continue;
         };
-        let plane = (*triangle < scene.len()).then(|| tree.planes().of(*triangle)).flatten();
+        let plane = (*triangle < scene.len())
+            .then(|| tree.planes().of(*triangle))
+            .flatten();
         let plane = plane.ok_or(ForeignRegion(*triangle))?;
         let Some(leaf) = leaf else {
             open.extend([None, None]);
@@ -228,7 +265,11 @@ fn follow(
             // The box of the region's tree reached farther than this one.
             looked += tree.nodes().len() as u64;
             let is_upper = side_of(tree, leaf, plane) == Ordering::Greater;
-            open.extend(if is_upper { [Some(leaf), None] } else { [None, Some(leaf)] });
+            open.extend(if is_upper {
+                [Some(leaf), None]
+            } else {
+                [None, Some(leaf)]
+            });
         }
     }
     Ok(is_inside)
@@ -237,8 +278,14 @@ fn follow(
 /// The side of a plane on which a leaf is that the plane does not divide.
 fn side_of(tree: &Tree, leaf: LeafId, plane: PlaneId) -> Ordering {
     let of_leaf = solids_in(tree, tree.bounds(), &above(tree, &|l| l == leaf));
-    let sides = of_leaf.iter().flat_map(|s| &s.faces).flat_map(|f| f.sides(tree.planes().plane(plane)));
-    sides.into_iter().find(|side| *side != Ordering::Equal).unwrap_or(Ordering::Less)
+    let sides = of_leaf
+        .iter()
+        .flat_map(|s| &s.faces)
+        .flat_map(|f| f.sides(tree.planes().plane(plane)));
+    sides
+        .into_iter()
+        .find(|side| *side != Ordering::Equal)
+        .unwrap_or(Ordering::Less)
 }
 
 /// Splits the leaves inside along walls, until they are small and no plane covers much of one, or the limits
@@ -251,7 +298,8 @@ fn divide(
     stop: &dyn Fn() -> bool,
 ) -> Result<Vec<bool>, NoPartition> {
     let most = limits.work.saturating_add(tree.work());
-    let is_worth = |choice: &Choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= large;
+    let is_worth =
+        |choice: &Choice| choice.merit >= WALL || choice.merit >= POOR && choice.section >= large;
     let mut next = 1;
     while next < tree.len() {
         let leaf = LeafId(next as u32);
@@ -260,7 +308,11 @@ fn divide(
         if is_open && stop() {
             return Err(NoPartition::Stopped);
         }
-        let choice = if is_open && may { best_plane(tree, leaf) } else { None };
+        let choice = if is_open && may {
+            best_plane(tree, leaf)
+        } else {
+            None
+        };
         match choice.filter(is_worth) {
             // Both halves are looked at again: the lesser keeps its number, the greater comes last.
             Some(choice) => {
@@ -291,7 +343,10 @@ fn parts(scene: &Scene, tree: &Tree, is_inside: &[bool]) -> Vec<Vec<Part>> {
                 Node::Leaf(leaf) => {
                     found.push((
                         leaf,
-                        Part { triangle, outline: Outline::around(face.polygon(), normal, plane) },
+                        Part {
+                            triangle,
+                            outline: Outline::around(face.polygon(), normal, plane),
+                        },
                     ));
                 }
                 Node::Split(plane, [less, greater]) => {

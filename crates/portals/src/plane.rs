@@ -40,11 +40,21 @@ impl Plane {
 
     /// The plane of these coefficients n and k, which have no common factor.
     pub fn of(mut exact: [IBig; 4]) -> Self {
-        if exact.iter().find(|c| !c.is_zero()).is_some_and(|c| c.sign() == Sign::Negative) {
+        if exact
+            .iter()
+            .find(|c| !c.is_zero())
+            .is_some_and(|c| c.sign() == Sign::Negative)
+        {
             exact.iter_mut().for_each(|c| *c = -std::mem::take(c));
         }
         let near = exact.each_ref().map(|c| c.to_f64().value());
-        let axis = (1..3).fold(0, |best, a| if near[a].abs() > near[best].abs() { a } else { best });
+        let axis = (1..3).fold(0, |best, a| {
+            if near[a].abs() > near[best].abs() {
+                a
+            } else {
+                best
+            }
+        });
         let is_across = (0..3).all(|i| i == axis || exact[i].is_zero());
         let level = near[3] / near[axis];
         let is_level = || {
@@ -52,7 +62,12 @@ impl Plane {
             level.is_finite() && own * &exact[axis] == &exact[3] * w
         };
         let across = (is_across && is_level()).then_some(level);
-        Self { exact, near, axis, across }
+        Self {
+            exact,
+            near,
+            axis,
+            across,
+        }
     }
 
     /// n and k.
@@ -97,9 +112,16 @@ impl Plane {
         let bound = 16.0 * U * (x.abs() + y.abs() + z.abs() + k.abs());
         let lost = at.to_array().iter().any(|c| c.abs() < TINY && *c != 0.0);
         if value.abs() > bound && !lost {
-            return if value > 0.0 { Ordering::Greater } else { Ordering::Less };
+            return if value > 0.0 {
+                Ordering::Greater
+            } else {
+                Ordering::Less
+            };
         }
-        predicates::sign(&predicates::height(&self.exact, &predicates::integers(point)))
+        predicates::sign(&predicates::height(
+            &self.exact,
+            &predicates::integers(point),
+        ))
     }
 
     /// On which side of the plane a point of single precision lies.
@@ -129,8 +151,14 @@ impl Face {
     pub fn new(polygon: Polygon) -> Self {
         let at = polygon.rounded();
         let around = |[min, max]: [DVec3; 2], p: &DVec3| [min.min(*p), max.max(*p)];
-        let bounds = at.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
-        Self { polygon, at, bounds }
+        let bounds = at
+            .iter()
+            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], around);
+        Self {
+            polygon,
+            at,
+            bounds,
+        }
     }
 
     /// The exact polygon.
@@ -150,7 +178,12 @@ impl Face {
 
     /// On which side of a plane each corner is.
     pub fn sides(&self, plane: &Plane) -> Vec<Ordering> {
-        self.polygon.points().iter().zip(&self.at).map(|(p, at)| plane.side(p, *at)).collect()
+        self.polygon
+            .points()
+            .iter()
+            .zip(&self.at)
+            .map(|(p, at)| plane.side(p, *at))
+            .collect()
     }
 
     /// The part on the side `keep` of a plane, given each corner's side; `None` if no corner is on that side.
@@ -158,14 +191,21 @@ impl Face {
         if !sides.contains(&keep.reverse()) {
             return sides.contains(&keep).then(|| self.clone());
         }
-        self.polygon.part(plane.coefficients(), sides, keep).map(Self::new)
+        self.polygon
+            .part(plane.coefficients(), sides, keep)
+            .map(Self::new)
     }
 
     /// The parts on the lesser and on the greater side of a plane; both are `None` for a face in the plane.
     pub fn parts(self, plane: &Plane) -> [Option<Self>; 2] {
         let sides = self.sides(plane);
-        match (sides.contains(&Ordering::Less), sides.contains(&Ordering::Greater)) {
-            (true, true) => [Ordering::Less, Ordering::Greater].map(|keep| self.part(plane, &sides, keep)),
+        match (
+            sides.contains(&Ordering::Less),
+            sides.contains(&Ordering::Greater),
+        ) {
+            (true, true) => {
+                [Ordering::Less, Ordering::Greater].map(|keep| self.part(plane, &sides, keep))
+            }
             (true, false) => [Some(self), None],
             (false, true) => [None, Some(self)],
             (false, false) => [None, None],
@@ -175,7 +215,11 @@ impl Face {
     /// Twice the area, rounded.
     pub fn area(&self) -> f64 {
         let first = self.at[0];
-        self.at.windows(2).map(|w| (w[0] - first).cross(w[1] - first)).sum::<DVec3>().length()
+        self.at
+            .windows(2)
+            .map(|w| (w[0] - first).cross(w[1] - first))
+            .sum::<DVec3>()
+            .length()
     }
 
     /// The mean of the corners, rounded.

@@ -25,14 +25,20 @@ impl Planes {
         let mut of = vec![None; scene.len() as usize];
         for id in by_place(scene).into_iter().filter(|id| divides(scene, *id)) {
             let plane = Plane::through(scene.triangles()[id as usize].v);
-            let number = *known.entry(plane.coefficients().clone()).or_insert_with(|| {
-                planes.push(plane);
-                triangles.push(id);
-                PlaneId(planes.len() as u32 - 1)
-            });
+            let number = *known
+                .entry(plane.coefficients().clone())
+                .or_insert_with(|| {
+                    planes.push(plane);
+                    triangles.push(id);
+                    PlaneId(planes.len() as u32 - 1)
+                });
             of[id as usize] = Some(number);
         }
-        Self { planes, triangles, of }
+        Self {
+            planes,
+            triangles,
+            of,
+        }
     }
 
     /// A plane.
@@ -76,9 +82,17 @@ pub fn by_place(scene: &Scene) -> Vec<u32> {
     // −0 and 0 are one coordinate; the bits of the others, turned so, are in their order.
     let key = |x: f32| {
         let bits = (x + 0.0).to_bits();
-        if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+        if bits >> 31 == 1 {
+            !bits
+        } else {
+            bits | 1 << 31
+        }
     };
-    let place = |id: &u32| scene.triangles()[*id as usize].v.map(|v| v.to_array().map(key));
+    let place = |id: &u32| {
+        scene.triangles()[*id as usize]
+            .v
+            .map(|v| v.to_array().map(key))
+    };
     let mut all: Vec<u32> = (0..scene.len()).collect();
     all.sort_by_cached_key(place);
     all

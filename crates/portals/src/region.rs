@@ -91,7 +91,11 @@ impl Reached {
                     open.push(number);
                 }
                 RegionNode::Inside | RegionNode::Outside => {
-                    nodes.push(if *node == RegionNode::Inside { Part::Inside } else { Part::Outside });
+                    nodes.push(if *node == RegionNode::Inside {
+                        Part::Inside
+                    } else {
+                        Part::Outside
+                    });
                     // The next node begins the greater side of the innermost split that has none yet.
                     if let Some(split) = open.pop()
                         && let Part::Split { greater, .. } = &mut nodes[split]
@@ -126,7 +130,10 @@ impl Reached {
     /// side is outside, a wall is in the plane.
     pub fn parts(&self, face: &Polygon) -> Vec<Polygon> {
         let parts = self.parts_from(0, Face::new(face.clone()));
-        parts.into_iter().flat_map(|part| part.polygon().clone().pieces()).collect()
+        parts
+            .into_iter()
+            .flat_map(|part| part.polygon().clone().pieces())
+            .collect()
     }
 
     /// The parts of a face that are in the region, from a node on.
@@ -138,10 +145,18 @@ impl Reached {
                 Part::Outside => {}
                 Part::Inside => found.push(face),
                 Part::Split { plane, greater } => {
-                    if face.sides(plane).iter().all(|side| *side == Ordering::Equal) {
+                    if face
+                        .sides(plane)
+                        .iter()
+                        .all(|side| *side == Ordering::Equal)
+                    {
                         // No other plane of the region is this one, so this happens once.
                         let lesser = self.parts_from(at + 1, face);
-                        found.extend(lesser.into_iter().flat_map(|part| self.parts_from(*greater, part)));
+                        found.extend(
+                            lesser
+                                .into_iter()
+                                .flat_map(|part| self.parts_from(*greater, part)),
+                        );
                     } else {
                         open.extend(beside(plane, (at + 1, *greater), face));
                     }
@@ -154,7 +169,8 @@ impl Reached {
     /// Whether a triangle has an area in common with the closed region within a closed box. What touches it
     /// in an edge or a corner alone is not met by lines in it.
     pub fn touches(&self, triangle: [Vec3; 3], within: Aabb) -> bool {
-        let Some(mut face) = Polygon::triangle(triangle.map(|v| v.as_dvec3())).map(Face::new) else {
+        let Some(mut face) = Polygon::triangle(triangle.map(|v| v.as_dvec3())).map(Face::new)
+        else {
             return false;
         };
         let sticks_out = !triangle.iter().all(|v| within.contains(*v));
@@ -162,11 +178,17 @@ impl Reached {
             let plane = Plane::of(wall.plane());
             // The box is on the side of its corners that are not on the wall.
             let inner = [within.min, within.max].map(|p| plane.side_of(p));
-            let inner = if inner[0] == Ordering::Equal { inner[1] } else { inner[0] };
+            let inner = if inner[0] == Ordering::Equal {
+                inner[1]
+            } else {
+                inner[0]
+            };
             let sides = face.sides(&plane);
             // A triangle in the plane of the wall is not cut.
             if sides.iter().any(|side| *side != Ordering::Equal) {
-                let Some(part) = face.part(&plane, &sides, inner) else { return false };
+                let Some(part) = face.part(&plane, &sides, inner) else {
+                    return false;
+                };
                 face = part;
             }
         }
@@ -175,7 +197,9 @@ impl Reached {
             match &self.nodes[at as usize] {
                 Part::Outside => {}
                 Part::Inside => return true,
-                Part::Split { plane, greater } => open.extend(beside(plane, (at + 1, *greater), face)),
+                Part::Split { plane, greater } => {
+                    open.extend(beside(plane, (at + 1, *greater), face))
+                }
             }
         }
         false
@@ -190,7 +214,9 @@ impl Reached {
     pub fn any_in(&self, of: Aabb) -> Option<Vec3> {
         let middle = |faces: &[Face]| {
             let corners = || faces.iter().flat_map(|face| face.corners());
-            (corners().sum::<DVec3>() / corners().count() as f64).as_vec3().clamp(of.min, of.max)
+            (corners().sum::<DVec3>() / corners().count() as f64)
+                .as_vec3()
+                .clamp(of.min, of.max)
         };
         let solid = self.solid(of, &mut |faces| self.holds(middle(faces)));
         solid.map(|faces| middle(&faces))
@@ -222,7 +248,11 @@ pub(crate) fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -
     [(lesser, Ordering::Less), (greater, Ordering::Greater)]
         .into_iter()
         .filter_map(|(node, keep)| {
-            let part = if in_plane { Some(face.clone()) } else { face.part(plane, &sides, keep) };
+            let part = if in_plane {
+                Some(face.clone())
+            } else {
+                face.part(plane, &sides, keep)
+            };
             part.map(|part| (node, part))
         })
         .collect()

@@ -37,10 +37,18 @@ const WAYS: usize = 2;
 /// A segment may begin on a wall in a face of the box and go on at its other side: exact queries from a
 /// closed box count it. So unless the box `is_open`, lines also leave through each face into the leaves
 /// that lie behind it.
-pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() -> bool) -> Option<Vec<u32>> {
+pub fn sights(
+    partition: &Partition,
+    of: Aabb,
+    is_open: bool,
+    stop: &dyn Fn() -> bool,
+) -> Option<Vec<u32>> {
     let solids = partition.solids(of);
     let mut behind: Vec<(Solid, HalfSpace)> = Vec::new();
-    for (axis, up) in (0..3).flat_map(|axis| [(axis, false), (axis, true)]).filter(|_| !is_open) {
+    for (axis, up) in (0..3)
+        .flat_map(|axis| [(axis, false), (axis, true)])
+        .filter(|_| !is_open)
+    {
         let mut slab = of;
         let (near, far) = if up {
             (of.max[axis], of.max[axis].next_up())
@@ -50,15 +58,31 @@ pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() ->
         (slab.min[axis], slab.max[axis]) = (near.min(far), near.max(far));
         let half = HalfSpace::across(axis, up, f64::from(near));
         let is_new = |solid: &Solid| solids.iter().all(|known| known.leaf != solid.leaf);
-        behind.extend(partition.solids(slab).into_iter().filter(is_new).map(|solid| (solid, half)));
+        behind.extend(
+            partition
+                .solids(slab)
+                .into_iter()
+                .filter(is_new)
+                .map(|solid| (solid, half)),
+        );
     }
     let ends = behind.iter().map(|(solid, _)| solid);
-    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else { return Some(Vec::new()) };
-    let mut search =
-        Search { partition, body, lit: FxHashMap::default(), order: Vec::new(), waiting: VecDeque::new() };
+    let Some(body) = Body::around(&mut solids.iter().chain(ends), of) else {
+        return Some(Vec::new());
+    };
+    let mut search = Search {
+        partition,
+        body,
+        lit: FxHashMap::default(),
+        order: Vec::new(),
+        waiting: VecDeque::new(),
+    };
     let mut is_seen = vec![false; partition.triangles()];
     for solid in &solids {
-        partition.parts(solid.leaf).iter().for_each(|part| is_seen[part.triangle as usize] = true);
+        partition
+            .parts(solid.leaf)
+            .iter()
+            .for_each(|part| is_seen[part.triangle as usize] = true);
         search.go_on(solid.leaf, None, &[], &Gates::NONE);
     }
     for (solid, half) in &behind {
@@ -71,7 +95,11 @@ pub fn sights(partition: &Partition, of: Aabb, is_open: bool, stop: &dyn Fn() ->
         return None;
     }
     search.show(&mut is_seen);
-    Some((0..is_seen.len() as u32).filter(|id| is_seen[*id as usize]).collect())
+    Some(
+        (0..is_seen.len() as u32)
+            .filter(|id| is_seen[*id as usize])
+            .collect(),
+    )
 }
 
 /// A portal with the leaf into which it is crossed.
@@ -125,7 +153,9 @@ impl Gate {
     /// What holds both.
     fn with(&self, other: &Self, errors: Errors) -> Self {
         match (self, other) {
-            (Self::Polygon(a), Self::Polygon(b)) if a.is_beside(b) => Self::Polygon(a.joined(b, errors)),
+            (Self::Polygon(a), Self::Polygon(b)) if a.is_beside(b) => {
+                Self::Polygon(a.joined(b, errors))
+            }
             _ => {
                 let ([a0, a1], [b0, b1]) = (self.bounds(), other.bounds());
                 Self::Box([a0.min(b0), a1.max(b1)])
@@ -145,19 +175,31 @@ struct Gates {
 
 impl Gates {
     /// The gates of lines from the cell.
-    const NONE: Self = Self { last: None, narrowest: None };
+    const NONE: Self = Self {
+        last: None,
+        narrowest: None,
+    };
 
     /// The gates beyond a portal with these gates.
     fn beyond(&self, portal: &Outline) -> Self {
         let wide = |[lo, hi]: [DVec3; 2]| (hi - lo).length_squared();
         let own = Gate::Polygon(portal.clone());
-        let known = self.narrowest.clone().filter(|known| wide(known.bounds()) <= wide(own.bounds()));
-        Self { narrowest: Some(known.unwrap_or_else(|| own.clone())), last: Some(own) }
+        let known = self
+            .narrowest
+            .clone()
+            .filter(|known| wide(known.bounds()) <= wide(own.bounds()));
+        Self {
+            narrowest: Some(known.unwrap_or_else(|| own.clone())),
+            last: Some(own),
+        }
     }
 
     /// Each gate with another one.
     fn both<'a>(&'a self, other: &'a Self) -> [(&'a Option<Gate>, &'a Option<Gate>); 2] {
-        [(&self.last, &other.last), (&self.narrowest, &other.narrowest)]
+        [
+            (&self.last, &other.last),
+            (&self.narrowest, &other.narrowest),
+        ]
     }
 
     /// Whether others are in these.
@@ -171,8 +213,9 @@ impl Gates {
 
     /// The gates of lines that have crossed either.
     fn or(&self, other: &Self, errors: Errors) -> Self {
-        let [last, narrowest] =
-            self.both(other).map(|(a, b)| a.as_ref().zip(b.as_ref()).map(|(a, b)| a.with(b, errors)));
+        let [last, narrowest] = self
+            .both(other)
+            .map(|(a, b)| a.as_ref().zip(b.as_ref()).map(|(a, b)| a.with(b, errors)));
         Self { last, narrowest }
     }
 
@@ -223,7 +266,13 @@ impl Search<'_> {
             if stop() {
                 return false;
             }
-            let Some(lit) = self.lit.get_mut(&crossing).and_then(|ways| ways.get_mut(way)) else { continue };
+            let Some(lit) = self
+                .lit
+                .get_mut(&crossing)
+                .and_then(|ways| ways.get_mut(way))
+            else {
+                continue;
+            };
             lit.is_waiting = false;
             let (plane, gates) = (lit.outline.plane, lit.gates.beyond(&lit.outline));
             let beam = self.beam(crossing, way);
@@ -236,7 +285,9 @@ impl Search<'_> {
     fn beam(&self, crossing: Crossing, way: usize) -> Vec<HalfSpace> {
         let mut beam = Vec::new();
         beam.extend(self.partition.beyond(crossing.0, crossing.1));
-        let Some(lit) = self.lit.get(&crossing).and_then(|ways| ways.get(way)) else { return beam };
+        let Some(lit) = self.lit.get(&crossing).and_then(|ways| ways.get(way)) else {
+            return beam;
+        };
         let (hull, errors) = (&lit.outline.hull, self.partition.errors());
         separators(&self.body, hull, errors, &mut beam);
         let Gates { last, narrowest } = &lit.gates;
@@ -252,9 +303,13 @@ impl Search<'_> {
     fn go_on(&mut self, leaf: LeafId, entered: Option<PlaneId>, beam: &[HalfSpace], gates: &Gates) {
         let partition = self.partition;
         for portal in &partition.tree().leaf(leaf).portals {
-            let Some(whole) = partition.opening(*portal) else { continue };
+            let Some(whole) = partition.opening(*portal) else {
+                continue;
+            };
             let into = partition.tree().portal(*portal).beyond(leaf);
-            if entered.is_some() && whole.plane == entered || partition.is_beyond(*portal, into, &self.body) {
+            if entered.is_some() && whole.plane == entered
+                || partition.is_beyond(*portal, into, &self.body)
+            {
                 continue;
             }
             if let Some(part) = whole.within(beam, partition.errors()) {
@@ -291,12 +346,19 @@ impl Search<'_> {
         // It does not hold both, so one of them grows. The whole portal cannot.
         if !holds_part(lit) {
             lit.growths[0] += 1;
-            lit.outline =
-                if lit.growths[0] < GROWTHS { lit.outline.joined(&part, errors) } else { whole.clone() };
+            lit.outline = if lit.growths[0] < GROWTHS {
+                lit.outline.joined(&part, errors)
+            } else {
+                whole.clone()
+            };
         }
         if !lit.gates.hold(gates, errors) {
             lit.growths[1] += 1;
-            lit.gates = if lit.growths[1] < GROWTHS { lit.gates.or(gates, errors) } else { Gates::NONE };
+            lit.gates = if lit.growths[1] < GROWTHS {
+                lit.gates.or(gates, errors)
+            } else {
+                Gates::NONE
+            };
         }
         if !std::mem::replace(&mut lit.is_waiting, true) {
             self.waiting.push_back((crossing, way));
@@ -316,7 +378,10 @@ impl Search<'_> {
                 // Nothing in the portal's plane is seen through it.
                 let is_lit = |part: &Part| {
                     !part.outline.is_beside(&lit.outline)
-                        && part.outline.within(&beam, self.partition.errors()).is_some()
+                        && part
+                            .outline
+                            .within(&beam, self.partition.errors())
+                            .is_some()
                 };
                 for part in parts {
                     let is_seen = &mut is_seen[part.triangle as usize];

@@ -22,7 +22,9 @@ impl Solid {
         let inside = corners().sum::<DVec3>() / corners().count().max(1) as f64;
         let pyramid = |face: &Face| {
             let at = face.corners();
-            let fan = at.windows(2).map(|w| (w[0] - at[0]).cross(w[1] - at[0]).dot(inside - at[0]));
+            let fan = at
+                .windows(2)
+                .map(|w| (w[0] - at[0]).cross(w[1] - at[0]).dot(inside - at[0]));
             fan.sum::<f64>().abs() / 6.0
         };
         self.faces.iter().map(pyramid).sum()
@@ -61,7 +63,11 @@ pub fn solids_in(tree: &Tree, of: Aabb, wanted: &[bool]) -> Vec<Solid> {
         match nodes[at as usize] {
             Node::Leaf(leaf) => found.push(Solid { leaf, faces }),
             Node::Split(plane, below) => {
-                open.extend(below.into_iter().zip(divide(faces, tree.planes().plane(plane), of)));
+                open.extend(
+                    below
+                        .into_iter()
+                        .zip(divide(faces, tree.planes().plane(plane), of)),
+                );
             }
         }
     }

@@ -13,7 +13,8 @@ pub fn table(partition: &Partition) -> Portals {
     let tree = partition.tree();
     let mut out = Portals::default();
     let bounds = tree.bounds();
-    out.size = f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()).max(f64::MIN_POSITIVE);
+    out.size =
+        f64::from(bounds.min.abs().max(bounds.max.abs()).max_element()).max(f64::MIN_POSITIVE);
     // Doors of one name are shut together.
     let names: Vec<&str> = partition.doors().into_iter().collect();
     out.doors = names.iter().map(|name| (*name).to_owned()).collect();
@@ -30,7 +31,11 @@ pub fn table(partition: &Partition) -> Portals {
                     let number = out.leaves.len() as u32;
                     leaves[leaf.0 as usize] = Some(number);
                     // Ascending by triangle, some more than once.
-                    let mut ids: Vec<u32> = partition.parts(leaf).iter().map(|part| part.triangle).collect();
+                    let mut ids: Vec<u32> = partition
+                        .parts(leaf)
+                        .iter()
+                        .map(|part| part.triangle)
+                        .collect();
                     ids.dedup();
                     out.leaves.push(ids);
                     LEAF + number
@@ -59,14 +64,29 @@ pub fn table(partition: &Partition) -> Portals {
             (of(portal.leaves[0]), of(portal.leaves[1]), portal.plane)
         {
             let plane = number_of(partition, plane, &mut planes, &mut out.planes);
-            let door = portal.door.and_then(|door| names.binary_search(&partition.name_of(door)).ok());
+            let door = portal
+                .door
+                .and_then(|door| names.binary_search(&partition.name_of(door)).ok());
             let door = door.map_or(NONE, |door| door as u32);
             // The file has few corners for each portal; more are several portals.
             let whole = portal.face.polygon().clone();
-            let pieces = if whole.points().len() > MOST_CORNERS { whole.pieces() } else { vec![whole] };
+            let pieces = if whole.points().len() > MOST_CORNERS {
+                whole.pieces()
+            } else {
+                vec![whole]
+            };
             for piece in pieces {
-                let corners = piece.points().iter().map(|p| polygon::rounded(p).to_array()).collect();
-                out.portals.push(Portal { leaves: [below, above], plane, door, corners });
+                let corners = piece
+                    .points()
+                    .iter()
+                    .map(|p| polygon::rounded(p).to_array())
+                    .collect();
+                out.portals.push(Portal {
+                    leaves: [below, above],
+                    plane,
+                    door,
+                    corners,
+                });
             }
         }
     }

@@ -82,7 +82,11 @@ pub struct Portal {
 impl Portal {
     /// The leaf on the other side.
     pub fn beyond(&self, leaf: LeafId) -> LeafId {
-        if self.leaves[0] == leaf { self.leaves[1] } else { self.leaves[0] }
+        if self.leaves[0] == leaf {
+            self.leaves[1]
+        } else {
+            self.leaves[0]
+        }
     }
 }
 
@@ -111,9 +115,13 @@ impl Tree {
 
     fn of(scene: &Scene, points: &[[f32; 3]], has_doors: bool) -> Self {
         let planes = Planes::new(scene);
-        let around = points.iter().fold(scene.bounds(), |b, p| b.union(Aabb::around([Vec3::from(*p)])));
+        let around = points.iter().fold(scene.bounds(), |b, p| {
+            b.union(Aabb::around([Vec3::from(*p)]))
+        });
         // Any margin keeps the outside in one piece. The coordinates stay finite.
-        let margin = ((around.max - around.min) * 0.125).max_element().clamp(f32::MIN_POSITIVE, f32::MAX);
+        let margin = ((around.max - around.min) * 0.125)
+            .max_element()
+            .clamp(f32::MIN_POSITIVE, f32::MAX);
         let limit = Vec3::splat(f32::MAX);
         let step = |p: Vec3, by: f32| (p + Vec3::splat(by)).clamp(-limit, limit);
         let bounds = Aabb::new(
@@ -128,7 +136,11 @@ impl Tree {
                 let face = Face::new(Polygon::triangle(corners)?);
                 let object = || scene.objects().partition_point(|o| o.first <= id) as u32 - 1;
                 let door = is_door(scene, id).then(object);
-                Some(Fragment { plane: planes.of(id)?, door, face })
+                Some(Fragment {
+                    plane: planes.of(id)?,
+                    door,
+                    face,
+                })
             })
             .collect();
         let inside = LeafId(1);
@@ -140,15 +152,33 @@ impl Tree {
                 face: Face::new(face),
                 plane: None,
                 door: None,
-                leaves: if k % 2 == 0 { [OUTSIDE, inside] } else { [inside, OUTSIDE] },
+                leaves: if k % 2 == 0 {
+                    [OUTSIDE, inside]
+                } else {
+                    [inside, OUTSIDE]
+                },
             })
             .collect();
         let ids: Vec<PortalId> = (0..portals.len() as u32).map(PortalId).collect();
         let leaves = vec![
-            Leaf { portals: ids.clone(), ..Leaf::default() },
-            Leaf { detail, portals: ids, ..Leaf::default() },
+            Leaf {
+                portals: ids.clone(),
+                ..Leaf::default()
+            },
+            Leaf {
+                detail,
+                portals: ids,
+                ..Leaf::default()
+            },
         ];
-        Self { planes, bounds, nodes: vec![Node::Leaf(inside)], leaves, portals, work: 0 }
+        Self {
+            planes,
+            bounds,
+            nodes: vec![Node::Leaf(inside)],
+            leaves,
+            portals,
+            work: 0,
+        }
     }
 
     /// The planes.
@@ -205,11 +235,13 @@ impl Tree {
         while let Some(node) = open.pop() {
             match self.nodes[node as usize] {
                 Node::Leaf(leaf) => found.push(leaf),
-                Node::Split(plane, [less, greater]) => match self.planes.plane(plane).side_of(point) {
-                    Ordering::Less => open.push(less),
-                    Ordering::Greater => open.push(greater),
-                    Ordering::Equal => open.extend([less, greater]),
-                },
+                Node::Split(plane, [less, greater]) => {
+                    match self.planes.plane(plane).side_of(point) {
+                        Ordering::Less => open.push(less),
+                        Ordering::Greater => open.push(greater),
+                        Ordering::Equal => open.extend([less, greater]),
+                    }
+                }
             }
         }
         found
@@ -217,7 +249,10 @@ impl Tree {
 
     /// The section of a plane with a leaf; `None` if they share no area.
     pub fn section(&self, leaf: LeafId, plane: PlaneId) -> Option<Face> {
-        let mut face = Face::new(Polygon::section(self.planes.plane(plane).coefficients(), self.bounds)?);
+        let mut face = Face::new(Polygon::section(
+            self.planes.plane(plane).coefficients(),
+            self.bounds,
+        )?);
         for (wall, keep) in &self.leaf(leaf).walls {
             let wall = self.planes.plane(*wall);
             let sides = face.sides(wall);
@@ -233,7 +268,9 @@ impl Tree {
     /// When the plane does not divide the leaf.
     pub fn split(&mut self, id: LeafId, plane: PlaneId) -> LeafId {
         // A fragment in the plane is in the closed leaf and in no wall of it, so the section has an area.
-        let section = self.section(id, plane).expect("the plane of a fragment divides its leaf");
+        let section = self
+            .section(id, plane)
+            .expect("the plane of a fragment divides its leaf");
         let upper = LeafId(self.leaves.len() as u32);
         // Sections are cut along all walls, for each plane that was compared; a leaf keeps its walls.
         self.work += WALL_WORK * self.leaf(id).walls.len() as u64;
@@ -270,7 +307,12 @@ impl Tree {
         }
         openings.extend(open.into_iter().map(|face| (face, None)));
         for (face, door) in openings {
-            let number = self.add_portal(Portal { face, plane: Some(plane), door, leaves: [id, upper] });
+            let number = self.add_portal(Portal {
+                face,
+                plane: Some(plane),
+                door,
+                leaves: [id, upper],
+            });
             portals.iter_mut().for_each(|p| p.push(number));
         }
         let places = [0, 1].map(|k| self.nodes.len() as u32 + k);
@@ -279,7 +321,12 @@ impl Tree {
         let sides = [Ordering::Less, Ordering::Greater];
         let [lower_leaf, upper_leaf] = std::array::from_fn(|k| Leaf {
             node: places[k],
-            walls: leaf.walls.iter().copied().chain([(plane, sides[k])]).collect(),
+            walls: leaf
+                .walls
+                .iter()
+                .copied()
+                .chain([(plane, sides[k])])
+                .collect(),
             detail: std::mem::take(&mut details[k]),
             portals: std::mem::take(&mut portals[k]),
             begun: Vec::new(),
@@ -296,7 +343,12 @@ impl Tree {
         // Each fragment was compared with the wall.
         self.work += leaf.detail.len() as u64;
         let is_of_wall = |plane: &PlaneId| planes.binary_search(plane).is_ok();
-        leaf.begun = leaf.detail.iter().map(|f| f.plane).filter(is_of_wall).collect();
+        leaf.begun = leaf
+            .detail
+            .iter()
+            .map(|f| f.plane)
+            .filter(is_of_wall)
+            .collect();
         leaf.begun.sort_unstable();
         leaf.begun.dedup();
     }
@@ -312,13 +364,21 @@ impl Tree {
         let portal = &mut self.portals[id.0 as usize];
         let [below, above] = portal.face.clone().parts(plane);
         let move_up = |portal: &mut Portal| {
-            portal.leaves.iter_mut().filter(|l| **l == lower).for_each(|l| *l = upper);
+            portal
+                .leaves
+                .iter_mut()
+                .filter(|l| **l == lower)
+                .for_each(|l| *l = upper);
         };
         match (below, above) {
             (Some(below), Some(above)) => {
                 portal.face = below;
-                let mut other =
-                    Portal { face: above, plane: portal.plane, door: portal.door, leaves: portal.leaves };
+                let mut other = Portal {
+                    face: above,
+                    plane: portal.plane,
+                    door: portal.door,
+                    leaves: portal.leaves,
+                };
                 move_up(&mut other);
                 let beyond = other.beyond(upper);
                 out[0].push(id);

@@ -14,23 +14,42 @@ use sightline_scene::{Object, Scene, Triangle};
 /// Two triangles a quad; corners in order.
 fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     let v = v.map(Vec3::from);
-    [Triangle { v: [v[0], v[1], v[2]] }, Triangle { v: [v[0], v[2], v[3]] }]
+    [
+        Triangle {
+            v: [v[0], v[1], v[2]],
+        },
+        Triangle {
+            v: [v[0], v[2], v[3]],
+        },
+    ]
 }
 
 /// The faces of a box.
 fn walls(min: [f32; 3], max: [f32; 3]) -> Vec<Triangle> {
     let at = |k: usize| [0, 1, 2].map(|a| if k >> a & 1 == 1 { max[a] } else { min[a] });
-    [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
-        .iter()
-        .flat_map(|face| quad(face.map(at)))
-        .collect()
+    [
+        [0, 1, 3, 2],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 3, 7, 6],
+        [0, 2, 6, 4],
+        [1, 3, 7, 5],
+    ]
+    .iter()
+    .flat_map(|face| quad(face.map(at)))
+    .collect()
 }
 
 /// Two rooms beside each other along x, with a wall at x = 2 that has a door at y from 0 to 1, z from 1 to 2.
 fn rooms() -> Vec<Triangle> {
     let mut all = walls([0.0; 3], [4.0, 2.0, 3.0]);
     let wall = |y: [f32; 2], z: [f32; 2]| {
-        quad([[2.0, y[0], z[0]], [2.0, y[1], z[0]], [2.0, y[1], z[1]], [2.0, y[0], z[1]]])
+        quad([
+            [2.0, y[0], z[0]],
+            [2.0, y[1], z[0]],
+            [2.0, y[1], z[1]],
+            [2.0, y[0], z[1]],
+        ])
     };
     all.extend(wall([0.0, 2.0], [0.0, 1.0]));
     all.extend(wall([0.0, 2.0], [2.0, 3.0]));
@@ -39,11 +58,20 @@ fn rooms() -> Vec<Triangle> {
 }
 
 fn door() -> [Triangle; 2] {
-    quad([[2.0, 0.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0, 2.0], [2.0, 0.0, 2.0]])
+    quad([
+        [2.0, 0.0, 1.0],
+        [2.0, 1.0, 1.0],
+        [2.0, 1.0, 2.0],
+        [2.0, 0.0, 2.0],
+    ])
 }
 
 fn scene(triangles: Vec<Triangle>) -> Scene {
-    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+    let object = Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
@@ -66,22 +94,42 @@ fn a_closed_room_is_all_that_is_reached() {
     triangles.extend(door());
     let (found, region, _) = around(&scene(triangles), [1.0, 1.0, 1.5]);
     assert_eq!(found, Enclosure::Closed);
-    assert!(holds(&region, [0.5, 0.5, 0.5]) && holds(&region, [2.0, 1.0, 1.0]), "walls belong to it");
+    assert!(
+        holds(&region, [0.5, 0.5, 0.5]) && holds(&region, [2.0, 1.0, 1.0]),
+        "walls belong to it"
+    );
     // A wall in another room, and the door from both sides of a cell that ends there.
     let whole = Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0));
-    assert!(!region.touches([[4.0, 0.0, 0.0], [4.0, 2.0, 0.0], [4.0, 2.0, 3.0]].map(Vec3::from), whole));
+    assert!(!region.touches(
+        [[4.0, 0.0, 0.0], [4.0, 2.0, 0.0], [4.0, 2.0, 3.0]].map(Vec3::from),
+        whole
+    ));
     assert!(region.touches(door()[0].v, whole));
     let cell = Aabb::new(Vec3::new(1.0, 0.0, 0.0), Vec3::new(2.0, 2.0, 3.0));
     let face = sightline_exact::Polygon::face_of(cell, 0, true);
-    assert!(region.parts(&face).is_empty(), "the wall and the door are in the face");
+    assert!(
+        region.parts(&face).is_empty(),
+        "the wall and the door are in the face"
+    );
     let face = sightline_exact::Polygon::face_of(cell, 0, false);
     assert_eq!(region.parts(&face).len(), 1);
     assert!(!holds(&region, [3.0, 1.0, 1.5]) && !holds(&region, [1.0, 1.0, 4.0]));
     assert!(region.meets(Aabb::new(Vec3::splat(-1.0), Vec3::splat(0.1))));
-    assert!(region.meets(Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0))), "the region is inside the box");
-    assert!(!region.meets(Aabb::new(Vec3::splat(-1.0), Vec3::splat(0.0))), "they share a corner alone");
-    assert!(!region.meets(Aabb::new(Vec3::new(2.0, 0.0, 0.0), Vec3::new(3.0, 1.0, 1.0))));
-    let inside = region.any_in(Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0))).unwrap();
+    assert!(
+        region.meets(Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0))),
+        "the region is inside the box"
+    );
+    assert!(
+        !region.meets(Aabb::new(Vec3::splat(-1.0), Vec3::splat(0.0))),
+        "they share a corner alone"
+    );
+    assert!(!region.meets(Aabb::new(
+        Vec3::new(2.0, 0.0, 0.0),
+        Vec3::new(3.0, 1.0, 1.0)
+    )));
+    let inside = region
+        .any_in(Aabb::new(Vec3::splat(-1.0), Vec3::splat(9.0)))
+        .unwrap();
     assert!(region.holds(inside));
 }
 
@@ -97,7 +145,10 @@ fn an_open_door_leads_to_the_other_room_and_furniture_stays_detail() {
     let (found, region, many) = around(&scene(triangles), [1.0, 1.0, 1.5]);
     assert_eq!(found, Enclosure::Closed);
     assert!(holds(&region, [3.0, 1.0, 1.5]) && !holds(&region, [5.0, 1.0, 1.5]));
-    assert!(many < few + 10, "{many} leaves with furniture, {few} without");
+    assert!(
+        many < few + 10,
+        "{many} leaves with furniture, {few} without"
+    );
 }
 
 #[test]
@@ -108,7 +159,8 @@ fn a_missing_triangle_is_a_leak_with_its_place() {
     let scene = scene(triangles);
     let seed = [1.0, 1.0, 1.5];
     let mut tree = Tree::new(&scene, &[seed]);
-    let Enclosure::Leak(leaves, portals) = enclose(&mut tree, &[seed], Limits::default(), &mut |_| true)
+    let Enclosure::Leak(leaves, portals) =
+        enclose(&mut tree, &[seed], Limits::default(), &mut |_| true)
     else {
         panic!("there is a way out")
     };
@@ -138,11 +190,33 @@ fn limits_and_stops_end_the_search() {
         let found = enclose(&mut tree, &[seed], limits, &mut |_| go_on);
         // What is reached holds all that may be reached, wherever the search ends.
         let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
-        assert!(Reached::new(&region, &scene).unwrap().holds(Vec3::new(3.0, 1.0, 1.5)));
+        assert!(
+            Reached::new(&region, &scene)
+                .unwrap()
+                .holds(Vec3::new(3.0, 1.0, 1.5))
+        );
         found
     };
-    assert_eq!(search(Limits { leaves: 4, ..Limits::default() }, true), Enclosure::Unknown);
-    assert_eq!(search(Limits { work: 30, ..Limits::default() }, true), Enclosure::Unknown);
+    assert_eq!(
+        search(
+            Limits {
+                leaves: 4,
+                ..Limits::default()
+            },
+            true
+        ),
+        Enclosure::Unknown
+    );
+    assert_eq!(
+        search(
+            Limits {
+                work: 30,
+                ..Limits::default()
+            },
+            true
+        ),
+        Enclosure::Unknown
+    );
     assert_eq!(search(Limits::default(), false), Enclosure::Stopped);
 }
 
@@ -154,7 +228,12 @@ fn a_region_of_another_scene_is_refused() {
     enclose(&mut tree, &[seed], Limits::default(), &mut |_| true);
     let region = region_of(&tree, &reached(&tree, &[seed])).unwrap();
     let other = scene(rooms()[..2].to_vec());
-    assert!(Reached::new(&region, &other).unwrap_err().to_string().contains("another scene"));
+    assert!(
+        Reached::new(&region, &other)
+            .unwrap_err()
+            .to_string()
+            .contains("another scene")
+    );
 }
 
 /// Whether a segment has no point in common with a triangle, as far as exact signs of its ends tell: false
@@ -165,7 +244,11 @@ fn misses(t: &Triangle, p: Vec3, q: Vec3) -> bool {
     if from == to && from != Ordering::Equal {
         return true;
     }
-    let edges = [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)];
+    let edges = [
+        orient3d_sign(p, q, a, b),
+        orient3d_sign(p, q, b, c),
+        orient3d_sign(p, q, c, a),
+    ];
     edges.contains(&Ordering::Less) && edges.contains(&Ordering::Greater)
 }
 
@@ -173,8 +256,15 @@ fn misses(t: &Triangle, p: Vec3, q: Vec3) -> bool {
 fn passes(t: &Triangle, p: Vec3, q: Vec3) -> bool {
     let [a, b, c] = t.v;
     let (from, to) = (orient3d_sign(a, b, c, p), orient3d_sign(a, b, c, q));
-    let edges = [orient3d_sign(p, q, a, b), orient3d_sign(p, q, b, c), orient3d_sign(p, q, c, a)];
-    from == to.reverse() && from != Ordering::Equal && edges[0] != Ordering::Equal && edges == [edges[0]; 3]
+    let edges = [
+        orient3d_sign(p, q, a, b),
+        orient3d_sign(p, q, b, c),
+        orient3d_sign(p, q, c, a),
+    ];
+    from == to.reverse()
+        && from != Ordering::Equal
+        && edges[0] != Ordering::Equal
+        && edges == [edges[0]; 3]
 }
 
 /// Triangles of a building: rooms, doors and loose triangles on a grid, turned about an axis.
@@ -189,8 +279,14 @@ fn building(
         let (min, size) = (min.map(f32::from), size.map(f32::from));
         all.extend(walls(min, [0, 1, 2].map(|a| min[a] + size[a])));
     }
-    let points = loose.iter().map(|t| t.map(|p| Vec3::from(p.map(f32::from))));
-    all.extend(points.map(|v| Triangle { v }).filter(|t| !t.is_degenerate()));
+    let points = loose
+        .iter()
+        .map(|t| t.map(|p| Vec3::from(p.map(f32::from))));
+    all.extend(
+        points
+            .map(|v| Triangle { v })
+            .filter(|t| !t.is_degenerate()),
+    );
     for hole in holes {
         if all.len() > 1 {
             all.remove(hole % all.len());

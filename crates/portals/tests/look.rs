@@ -18,12 +18,24 @@ fn result(scene: &Scene) -> Pvs {
     let bounds = scene.bounds();
     let partition = Partition::new(scene, None, bounds, Limits::default(), &|| false).unwrap();
     let tree = CellTree::new(bounds.corners().map(|c| c.to_array()), vec![Node::Leaf]).unwrap();
-    let objects = vec![Object { name: "all".into(), first: 0, count: scene.len(), source: None }];
-    let header =
-        Header { triangles: scene.len(), method: "portals".into(), tree, objects, info_json: "{}".into() };
+    let objects = vec![Object {
+        name: "all".into(),
+        first: 0,
+        count: scene.len(),
+        source: None,
+    }];
+    let header = Header {
+        triangles: scene.len(),
+        method: "portals".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    };
     let mut builder = Builder::new(header).unwrap();
     builder.set_portals(table(&partition).encode()).unwrap();
-    builder.push_cell(&(0..scene.len()).collect::<Vec<_>>(), &[], 0).unwrap();
+    builder
+        .push_cell(&(0..scene.len()).collect::<Vec<_>>(), &[], 0)
+        .unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     Pvs::from_bytes(file).unwrap()

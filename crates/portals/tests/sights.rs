@@ -14,7 +14,8 @@ use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Scene, Triangle};
 
 fn seen(scene: &Scene, of: Aabb) -> Vec<u32> {
-    let partition = Partition::new(scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition =
+        Partition::new(scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
     sights(&partition, of, false, &|| false).unwrap()
 }
 
@@ -54,7 +55,9 @@ fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
     let mut counts = [0; 2];
     for id in 0..floor {
         let v = scene.triangles()[id].v;
-        let (least, most) = v.iter().fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(v.x), b.max(v.x)));
+        let (least, most) = v
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(v.x), b.max(v.x)));
         if most <= 1.0 {
             assert!(is_seen(id), "the room's own floor");
         }
@@ -65,8 +68,13 @@ fn doors_by_turns_leave_a_wedge_of_the_third_room_and_nothing_of_the_fourth() {
             // Between z = x and z = 3x − 3, by the signs of both at the corners.
             let below = v.iter().all(|v| v.z - v.x < 0.0);
             let above = v.iter().all(|v| v.z - 3.0 * v.x + 3.0 > 0.0);
-            let inside = v.iter().all(|v| v.z - v.x > 0.0 && v.z - 3.0 * v.x + 3.0 < 0.0);
-            assert!(!(is_seen(id) && (below || above)), "{v:?} is beside the wedge");
+            let inside = v
+                .iter()
+                .all(|v| v.z - v.x > 0.0 && v.z - 3.0 * v.x + 3.0 < 0.0);
+            assert!(
+                !(is_seen(id) && (below || above)),
+                "{v:?} is beside the wedge"
+            );
             assert!(is_seen(id) || !inside, "{v:?} is in the wedge");
             counts[usize::from(is_seen(id))] += 1;
         }
@@ -82,7 +90,12 @@ fn a_turned_building_lists_a_third_more_than_is_seen_at_most() {
     // Turned, its walls have cracks, and each of their triangles is in a plane of its own.
     let turned = lists(2, 0.5);
     assert!(turned.leaves > 4 * straight.leaves && turned.exact > straight.exact);
-    assert!(3 * turned.portals <= 4 * turned.exact, "{} of {}", turned.portals, turned.exact);
+    assert!(
+        3 * turned.portals <= 4 * turned.exact,
+        "{} of {}",
+        turned.portals,
+        turned.exact
+    );
 }
 
 #[test]
@@ -95,8 +108,14 @@ fn the_order_of_the_triangles_changes_no_set() {
     }
     let other = common::scene(order.iter().map(|k| scene.triangles()[*k]).collect());
     for x in 0..5 {
-        let of = Aabb::new(Vec3::new(x as f32, 0.0, 0.0), Vec3::new(x as f32 + 0.7, 1.0, 2.0));
-        let mut found: Vec<u32> = seen(&other, of).iter().map(|id| order[*id as usize] as u32).collect();
+        let of = Aabb::new(
+            Vec3::new(x as f32, 0.0, 0.0),
+            Vec3::new(x as f32 + 0.7, 1.0, 2.0),
+        );
+        let mut found: Vec<u32> = seen(&other, of)
+            .iter()
+            .map(|id| order[*id as usize] as u32)
+            .collect();
         found.sort_unstable();
         assert_eq!(seen(&scene, of), found);
     }
@@ -104,36 +123,60 @@ fn the_order_of_the_triangles_changes_no_set() {
 
 #[test]
 fn turned_walls_hide_nearly_as_much_as_straight_ones() {
-    let params = Params { triangles: Some(2500), grid: Some([4, 3]), ..Params::default() };
+    let params = Params {
+        triangles: Some(2500),
+        grid: Some([4, 3]),
+        ..Params::default()
+    };
     let rooms = generate(Kind::Rooms, &params).unwrap();
     let drawn = |angle: f32| -> usize {
         let turn = Quat::from_rotation_y(angle);
         let turned = |p: Vec3| if angle == 0.0 { p } else { turn * p };
-        let all = rooms.triangles().iter().map(|t| Triangle { v: t.v.map(turned) }).collect();
+        let all = rooms
+            .triangles()
+            .iter()
+            .map(|t| Triangle { v: t.v.map(turned) })
+            .collect();
         let scene = common::scene(all);
-        let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+        let partition =
+            Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
         let Aabb { min, max } = rooms.bounds();
         // Two places in each room, at half its height.
         let places = (0..24).map(|k| Vec3::new((k % 8) as f32 + 0.5, 1.0, (k / 8) as f32 + 0.4));
         let of = |place: Vec3| {
             let middle = turned(min + (max - min) * place / Vec3::new(8.0, 2.0, 3.0));
-            sights(&partition, Aabb::new(middle - 0.1, middle + 0.1), false, &|| false).unwrap().len()
+            sights(
+                &partition,
+                Aabb::new(middle - 0.1, middle + 0.1),
+                false,
+                &|| false,
+            )
+            .unwrap()
+            .len()
         };
         places.map(of).sum()
     };
     let straight = drawn(0.0);
     // Otherwise nothing could be drawn that is a quarter more.
-    assert!(straight * 2 < 24 * rooms.triangles().len(), "{straight} drawn of {}", rooms.triangles().len());
+    assert!(
+        straight * 2 < 24 * rooms.triangles().len(),
+        "{straight} drawn of {}",
+        rooms.triangles().len()
+    );
     for angle in [0.5, std::f32::consts::FRAC_PI_2, 1.1] {
         let turned = drawn(angle);
-        assert!(turned * 4 < straight * 5, "{straight} straight, {turned} turned by {angle}");
+        assert!(
+            turned * 4 < straight * 5,
+            "{straight} straight, {turned} turned by {angle}"
+        );
     }
 }
 
 #[test]
 fn a_stopped_search_says_so() {
     let (scene, _) = zigzag();
-    let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition =
+        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
     assert_eq!(sights(&partition, scene.bounds(), false, &|| true), None);
 }
 
@@ -176,9 +219,11 @@ fn a_door_is_an_opening_of_its_name() {
     use sightline_scene::kinds::{Kind, Kinds, Rule};
     // Two rooms with a wall between them at x = 1, in which a door fills z from 0 to 1.
     let mut walls: Vec<sightline_scene::Triangle> = Vec::new();
-    for (axis, [u, v]) in
-        [(1, [[0.0, 3.0], [0.0, 2.0]]), (2, [[0.0, 2.0], [0.0, 1.0]]), (0, [[0.0, 1.0], [0.0, 3.0]])]
-    {
+    for (axis, [u, v]) in [
+        (1, [[0.0, 3.0], [0.0, 2.0]]),
+        (2, [[0.0, 2.0], [0.0, 1.0]]),
+        (0, [[0.0, 1.0], [0.0, 3.0]]),
+    ] {
         for at in [0.0, [2.0, 1.0, 3.0][axis]] {
             walls.extend(across(axis, at, u, v));
         }
@@ -186,16 +231,35 @@ fn a_door_is_an_opening_of_its_name() {
     walls.extend(across(0, 1.0, [0.0, 1.0], [1.0, 3.0]));
     let first = walls.len() as u32;
     walls.extend(across(0, 1.0, [0.0, 1.0], [0.0, 1.0]));
-    let object = |name: &str, first, count| sightline_scene::Object { name: name.to_owned(), first, count };
+    let object = |name: &str, first, count| sightline_scene::Object {
+        name: name.to_owned(),
+        first,
+        count,
+    };
     let objects = vec![object("walls", 0, first), object("front door", first, 2)];
-    let rule = Rule { kind: Kind::Door, glob: "front*".to_owned() };
-    let kinds = Kinds::from_runs([(first, Kind::Opaque, "file"), (2, Kind::Door, "--doors")], vec![rule]);
-    let scene = Scene::new("test", walls, objects).unwrap().with_kinds("test", kinds).unwrap();
-    let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let rule = Rule {
+        kind: Kind::Door,
+        glob: "front*".to_owned(),
+    };
+    let kinds = Kinds::from_runs(
+        [(first, Kind::Opaque, "file"), (2, Kind::Door, "--doors")],
+        vec![rule],
+    );
+    let scene = Scene::new("test", walls, objects)
+        .unwrap()
+        .with_kinds("test", kinds)
+        .unwrap();
+    let partition =
+        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
     let table = sightline_portals::table(&partition);
     assert_eq!(table.doors, ["front door"]);
     let shut: Vec<_> = table.portals.iter().filter(|p| p.door == 0).collect();
-    assert!(!shut.is_empty() && shut.iter().all(|p| p.corners.iter().all(|c| c[0] == 1.0 && c[2] <= 1.0)));
+    assert!(
+        !shut.is_empty()
+            && shut
+                .iter()
+                .all(|p| p.corners.iter().all(|c| c[0] == 1.0 && c[2] <= 1.0))
+    );
     // It does not block: the far wall is seen through it, and the door itself is in no set.
     let of = Aabb::new(Vec3::new(0.2, 0.2, 0.2), Vec3::new(0.8, 0.8, 0.8));
     let found = sights(&partition, of, false, &|| false).unwrap();

@@ -15,7 +15,8 @@ use std::io::BufRead as _;
 
 use sightline_pvs::{Pvs, PvsError};
 
-const USAGE: &str = "usage: interest RESULT.pvs [MARGIN] < PLAYERS, with lines `name x y z [margin]`";
+const USAGE: &str =
+    "usage: interest RESULT.pvs [MARGIN] < PLAYERS, with lines `name x y z [margin]`";
 
 /// A player: the box that holds it until the next message, and the cells of that.
 struct Player {
@@ -29,12 +30,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let (path, margin) = match args.as_slice() {
         [path] => (path, 0.0),
-        [path, text] => (path, number(text).filter(|margin| *margin >= 0.0).ok_or(USAGE)?),
+        [path, text] => (
+            path,
+            number(text).filter(|margin| *margin >= 0.0).ok_or(USAGE)?,
+        ),
         _ => return Err(USAGE.into()),
     };
     let pvs = Pvs::open(path)?;
     if pvs.cell_pairs()?.is_none() {
-        return Err(format!("{path} does not say which cells see which; bake with --cell-to-cell on").into());
+        return Err(format!(
+            "{path} does not say which cells see which; bake with --cell-to-cell on"
+        )
+        .into());
     }
     let mut players = Vec::new();
     for (count, line) in std::io::stdin().lock().lines().enumerate() {
@@ -85,7 +92,12 @@ fn player(pvs: &Pvs, line: &str, margin: f32) -> Option<Player> {
         let [lo, hi] = pvs.cell_bounds(*cell).unwrap_or_default();
         (0..3).all(|a| lo[a] <= max[a] && min[a] <= hi[a])
     };
-    Some(Player { name, min, max, cells: (0..pvs.cells()).filter(meets).collect() })
+    Some(Player {
+        name,
+        min,
+        max,
+        cells: (0..pvs.cells()).filter(meets).collect(),
+    })
 }
 
 fn number(text: &str) -> Option<f32> {

@@ -8,7 +8,9 @@ const USAGE: &str = "usage: lookup RESULT.pvs X Y Z";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let [path, x, y, z] = args.as_slice() else { return Err(USAGE.into()) };
+    let [path, x, y, z] = args.as_slice() else {
+        return Err(USAGE.into());
+    };
     let camera = [x.parse()?, y.parse()?, z.parse()?];
 
     // Once, at the start: this maps the file and checks all of it. Share the result between threads as it is.
@@ -17,7 +19,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // In every frame: find the cell of the camera. The set changes only when the cell does, so an engine
     // keeps both.
     let Some(cell) = pvs.find_cell(camera) else {
-        println!("the camera is outside the view box {:?}", pvs.tree().view_box());
+        println!(
+            "the camera is outside the view box {:?}",
+            pvs.tree().view_box()
+        );
         return Ok(());
     };
 
@@ -25,7 +30,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (mut runs, mut objects) = (Vec::new(), Vec::new());
     pvs.visible_runs(cell, &mut runs)?;
     let triangles: usize = runs.iter().map(ExactSizeIterator::len).sum();
-    println!("cell {cell}: {triangles} of {} triangles in {} runs", pvs.triangle_count(), runs.len());
+    println!(
+        "cell {cell}: {triangles} of {} triangles in {} runs",
+        pvs.triangle_count(),
+        runs.len()
+    );
 
     // Or as whole objects of the scene, in the order of the scene file.
     pvs.visible_objects(cell, &mut objects)?;

@@ -9,12 +9,18 @@ use std::time::Instant;
 use sightline_pvs::Pvs;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let path = std::env::args().nth(1).ok_or("usage: lookup_speed RESULT.pvs")?;
+    let path = std::env::args()
+        .nth(1)
+        .ok_or("usage: lookup_speed RESULT.pvs")?;
     let start = Instant::now();
     let pvs = Pvs::open(&path)?;
     let [file, ..] = pvs.file_bytes();
     let opened = start.elapsed();
-    println!("{} triangles, {} cells, {file} bytes", pvs.triangle_count(), pvs.cells());
+    println!(
+        "{} triangles, {} cells, {file} bytes",
+        pvs.triangle_count(),
+        pvs.cells()
+    );
     println!(
         "open and check: {:.2} ms ({:.1} GB/s)",
         opened.as_secs_f64() * 1e3,
@@ -27,7 +33,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let points: Vec<[f32; 3]> = (0..1_000_000u32)
         .map(|i| {
             let part = |step: u32| (i.wrapping_mul(step) >> 8) as f32 / (1 << 24) as f32;
-            let s = [part(3_518_319_155), part(2_882_110_345), part(2_360_945_575)];
+            let s = [
+                part(3_518_319_155),
+                part(2_882_110_345),
+                part(2_360_945_575),
+            ];
             std::array::from_fn(|a| lo[a] + (hi[a] - lo[a]) * s[a])
         })
         .collect();
@@ -35,7 +45,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for &p in &points {
         black_box(pvs.find_cell(black_box(p)));
     }
-    println!("find_cell: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
+    println!(
+        "find_cell: {:.1} ns",
+        start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
+    );
 
     if pvs.cell_pairs()?.is_some() {
         let cells: Vec<u32> = points.iter().filter_map(|p| pvs.find_cell(*p)).collect();
@@ -44,7 +57,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for ((a, b), _) in pairs() {
             black_box(pvs.sees(black_box(*a), black_box(*b))?);
         }
-        println!("sees: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
+        println!(
+            "sees: {:.1} ns",
+            start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
+        );
         // Boxes of a fiftieth of the view box, as of moving things.
         let size: [f32; 3] = std::array::from_fn(|a| (hi[a] - lo[a]) / 50.0);
         let start = Instant::now();
@@ -52,7 +68,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             let far: [f32; 3] = std::array::from_fn(|k| (p[k] + size[k]).min(hi[k]));
             black_box(pvs.sees_box(black_box(*a), *p, far)?);
         }
-        println!("sees_box: {:.1} ns", start.elapsed().as_secs_f64() * 1e9 / points.len() as f64);
+        println!(
+            "sees_box: {:.1} ns",
+            start.elapsed().as_secs_f64() * 1e9 / points.len() as f64
+        );
     }
 
     // The least of several times for each cell, which leaves out the other load of the machine.

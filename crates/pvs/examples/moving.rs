@@ -10,9 +10,16 @@ const USAGE: &str = "usage: moving RESULT.pvs X Y Z x0 y0 z0 x1 y1 z1";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
-    let [path, numbers @ ..] = args.as_slice() else { return Err(USAGE.into()) };
-    let numbers: Vec<f32> = numbers.iter().map(|n| n.parse()).collect::<Result<_, _>>()?;
-    let [x, y, z, x0, y0, z0, x1, y1, z1] = numbers[..] else { return Err(USAGE.into()) };
+    let [path, numbers @ ..] = args.as_slice() else {
+        return Err(USAGE.into());
+    };
+    let numbers: Vec<f32> = numbers
+        .iter()
+        .map(|n| n.parse())
+        .collect::<Result<_, _>>()?;
+    let [x, y, z, x0, y0, z0, x1, y1, z1] = numbers[..] else {
+        return Err(USAGE.into());
+    };
     let pvs = Pvs::open(path)?;
 
     // A renderer: draw the moving thing only when the camera's cell sees a cell that its box meets.
@@ -21,7 +28,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         return Ok(());
     };
     let drawn = pvs.sees_box(camera, [x0, y0, z0], [x1, y1, z1])?;
-    println!("the moving thing is {}", if drawn { "drawn" } else { "culled" });
+    println!(
+        "the moving thing is {}",
+        if drawn { "drawn" } else { "culled" }
+    );
 
     // A server: tell a player about another only when the cells of the two see each other. A player outside
     // the view box is told, because nothing is known of places there.

@@ -100,12 +100,21 @@ impl Builder {
     /// [`PvsError::Objects`] when the objects do not tile the triangles, [`PvsError::TooLarge`] for names or
     /// counts beyond 32 bits.
     pub fn new(header: Header) -> Result<Self, PvsError> {
-        check_tiling(header.triangles, header.objects.iter().map(|o| (o.first, o.count)))?;
+        check_tiling(
+            header.triangles,
+            header.objects.iter().map(|o| (o.first, o.count)),
+        )?;
         let limit = u64::from(u32::MAX);
-        let longest = header.objects.iter().map(|o| o.name.len()).max().unwrap_or(0) as u64;
-        for (what, value) in
-            [("the number of objects", header.objects.len() as u64), ("an object's name", longest)]
-        {
+        let longest = header
+            .objects
+            .iter()
+            .map(|o| o.name.len())
+            .max()
+            .unwrap_or(0) as u64;
+        for (what, value) in [
+            ("the number of objects", header.objects.len() as u64),
+            ("an object's name", longest),
+        ] {
             if value > limit {
                 return Err(PvsError::TooLarge { what, value, limit });
             }
@@ -149,7 +158,9 @@ impl Builder {
         if !self.flags.is_empty() {
             return Err(Section::Items.malformed("the items come before the first cell"));
         }
-        let Header { triangles, objects, .. } = &self.header;
+        let Header {
+            triangles, objects, ..
+        } = &self.header;
         self.items = items.encode(*triangles, objects.len())?;
         // `encode` has checked that the count fits.
         self.item_count = match items {
@@ -191,8 +202,17 @@ impl Builder {
     ///
     /// # Errors
     /// As [`Self::push_cells`].
-    pub fn push_cell(&mut self, visible: &[u32], undecided: &[u32], flags: u32) -> Result<(), PvsError> {
-        self.push_cells(&[Cell { visible, undecided, flags }])
+    pub fn push_cell(
+        &mut self,
+        visible: &[u32],
+        undecided: &[u32],
+        flags: u32,
+    ) -> Result<(), PvsError> {
+        self.push_cells(&[Cell {
+            visible,
+            undecided,
+            flags,
+        }])
     }
 
     /// Adds the next cells. With the feature `parallel` all cores code them.
@@ -205,7 +225,10 @@ impl Builder {
         let (first, expected) = (self.flags.len() as u64, self.header.tree.cells());
         let after = first + cells.len() as u64;
         if after > u64::from(expected) {
-            return Err(PvsError::CellCount { expected, pushed: after });
+            return Err(PvsError::CellCount {
+                expected,
+                pushed: after,
+            });
         }
         let coded = each(cells, |i, cell| self.coded((first + i as u64) as u32, cell));
         let coded: Vec<[CodedSet; 2]> = coded.into_iter().collect::<Result<_, _>>()?;
@@ -221,10 +244,17 @@ impl Builder {
     fn coded(&self, cell: u32, of: &Cell<'_>) -> Result<[CodedSet; 2], PvsError> {
         let bad = |set, reason: String| PvsError::Ids { cell, set, reason };
         let count = self.item_count;
-        let what = if self.items.is_empty() { "triangle" } else { "item" };
+        let what = if self.items.is_empty() {
+            "triangle"
+        } else {
+            "item"
+        };
         for (set, ids) in [("visible", of.visible), ("undecided", of.undecided)] {
             if let Some(pair) = ids.windows(2).find(|p| p[0] >= p[1]) {
-                return Err(bad(set, format!("{} comes before {}; ids must ascend", pair[0], pair[1])));
+                return Err(bad(
+                    set,
+                    format!("{} comes before {}; ids must ascend", pair[0], pair[1]),
+                ));
             }
             if let Some(&last) = ids.last().filter(|&&last| last >= count) {
                 return Err(bad(set, format!("there is no {what} {last} among {count}")));
@@ -234,19 +264,31 @@ impl Builder {
         if !open.is_empty() {
             let [beyond] = runs::sweep([&seen, &open], |m| u32::from(m == 2));
             if let Some(id) = beyond.first() {
-                return Err(bad("undecided", format!("{what} {id} is not in the visible set")));
+                return Err(bad(
+                    "undecided",
+                    format!("{what} {id} is not in the visible set"),
+                ));
             }
         }
         if of.flags & SET_ASIDE != 0
             && of.visible != of.undecided
             && of.visible.len() as u64 != u64::from(count)
         {
-            return Err(bad("visible", format!("the cell is set aside, but not all {what}s are visible")));
+            return Err(bad(
+                "visible",
+                format!("the cell is set aside, but not all {what}s are visible"),
+            ));
         }
         if of.flags & NOT_REACHED != 0 && !of.visible.is_empty() {
-            return Err(bad("visible", "no viewpoint is in the cell, but its set is not empty".to_owned()));
+            return Err(bad(
+                "visible",
+                "no viewpoint is in the cell, but its set is not empty".to_owned(),
+            ));
         }
-        Ok([CodedSet::new(&seen, of.visible.len()), CodedSet::new(&open, of.undecided.len())])
+        Ok([
+            CodedSet::new(&seen, of.visible.len()),
+            CodedSet::new(&open, of.undecided.len()),
+        ])
     }
 
     /// Sets the statistics of the bake, at any time before [`Self::finish`]. The file has the columns in this
@@ -274,7 +316,10 @@ impl Builder {
     /// [`PvsError::CellCount`] after the last cell; [`PvsError::Write`] when the scratch file cannot be
     /// written, after which the builder cannot be used.
     pub fn push_certificate(&mut self, bytes: &[u8]) -> Result<(), PvsError> {
-        let (expected, pushed) = (self.header.tree.cells(), self.certificates.ends.len() as u64 + 1);
+        let (expected, pushed) = (
+            self.header.tree.cells(),
+            self.certificates.ends.len() as u64 + 1,
+        );
         if pushed > u64::from(expected) {
             return Err(PvsError::CellCount { expected, pushed });
         }
@@ -286,22 +331,37 @@ impl Builder {
     /// # Errors
     /// [`PvsError::CellCount`] when cells are missing, [`PvsError::Write`] when writing fails.
     pub fn finish(mut self, out: &mut impl Write) -> Result<Stats, PvsError> {
-        let Header { triangles, method, tree, objects, info_json } = self.header;
+        let Header {
+            triangles,
+            method,
+            tree,
+            objects,
+            info_json,
+        } = self.header;
         if self.flags.len() as u64 != u64::from(tree.cells()) {
-            return Err(PvsError::CellCount { expected: tree.cells(), pushed: self.flags.len() as u64 });
+            return Err(PvsError::CellCount {
+                expected: tree.cells(),
+                pushed: self.flags.len() as u64,
+            });
         }
         let tree_bytes = tree_section(&tree);
         let object_bytes = object_section(&objects);
         let flag_bytes: Vec<u8> = self.flags.iter().flat_map(|f| f.to_le_bytes()).collect();
         let (visible_ids, undecided_ids) = (self.visible.ids(), self.undecided.ids());
-        let visible = self.visible.section(Section::Visible, &tree, self.item_count)?;
+        let visible = self
+            .visible
+            .section(Section::Visible, &tree, self.item_count)?;
         let undecided = if undecided_ids == 0 {
             Vec::new()
         } else {
-            self.undecided.section(Section::Undecided, &tree, self.item_count)?
+            self.undecided
+                .section(Section::Undecided, &tree, self.item_count)?
         };
         let contributions = self.contributions.section(tree.cells())?;
-        let certificates = self.certificates.section(tree.cells()).map_err(PvsError::Write)?;
+        let certificates = self
+            .certificates
+            .section(tree.cells())
+            .map_err(PvsError::Write)?;
         // Files have no sections that they do not need. A file of version 1 has no certificates without
         // columns, so it has an empty section of columns then.
         let columns = !self.columns.is_empty() || certificates.is_some();
@@ -327,15 +387,29 @@ impl Builder {
         let before = || before.iter().filter(|s| s.2).map(|s| (s.0, s.1));
         let after = || after.iter().filter(|s| !s.1.is_empty()).copied();
         let written = |(section, bytes): (Section, &[u8])| Written::of(section, bytes);
-        let sections: Vec<Written> =
-            before().map(written).chain(certificates).chain(after().map(written)).collect();
-        let header = layout::header(triangles, tree.cells(), tree.nodes().len() as u32, &sections);
+        let sections: Vec<Written> = before()
+            .map(written)
+            .chain(certificates)
+            .chain(after().map(written))
+            .collect();
+        let header = layout::header(
+            triangles,
+            tree.cells(),
+            tree.nodes().len() as u32,
+            &sections,
+        );
         out.write_all(&header).map_err(PvsError::Write)?;
-        before().try_for_each(|(_, bytes)| out.write_all(bytes)).map_err(PvsError::Write)?;
+        before()
+            .try_for_each(|(_, bytes)| out.write_all(bytes))
+            .map_err(PvsError::Write)?;
         if certificates.is_some() {
-            self.certificates.write(tree.cells(), out).map_err(PvsError::Write)?;
+            self.certificates
+                .write(tree.cells(), out)
+                .map_err(PvsError::Write)?;
         }
-        after().try_for_each(|(_, bytes)| out.write_all(bytes)).map_err(PvsError::Write)?;
+        after()
+            .try_for_each(|(_, bytes)| out.write_all(bytes))
+            .map_err(PvsError::Write)?;
         out.flush().map_err(PvsError::Write)?;
         Ok(Stats {
             file_bytes: header.len() as u64 + sections.iter().map(|s| s.length).sum::<u64>(),
@@ -358,7 +432,10 @@ impl Contributions {
             return Ok(Vec::new());
         }
         if self.ends.len() != cells as usize {
-            return Err(PvsError::CellCount { expected: cells, pushed: self.ends.len() as u64 });
+            return Err(PvsError::CellCount {
+                expected: cells,
+                pushed: self.ends.len() as u64,
+            });
         }
         let offsets = std::iter::once(0).chain(self.ends.iter().copied());
         let mut bytes: Vec<u8> = offsets.flat_map(u64::to_le_bytes).collect();
@@ -368,23 +445,39 @@ impl Contributions {
 }
 
 /// Checks that ranges, each (first, count), tile 0 … `triangles` − 1 in order.
-pub(crate) fn check_tiling(triangles: u32, ranges: impl Iterator<Item = (u32, u32)>) -> Result<(), PvsError> {
+pub(crate) fn check_tiling(
+    triangles: u32,
+    ranges: impl Iterator<Item = (u32, u32)>,
+) -> Result<(), PvsError> {
     let (mut expected, mut object) = (0u64, 0);
     for (first, count) in ranges {
         if u64::from(first) != expected {
-            return Err(PvsError::Objects { object, first: u64::from(first), expected });
+            return Err(PvsError::Objects {
+                object,
+                first: u64::from(first),
+                expected,
+            });
         }
         expected += u64::from(count);
         object += 1;
     }
     if expected != u64::from(triangles) {
-        return Err(PvsError::Objects { object, first: u64::from(triangles), expected });
+        return Err(PvsError::Objects {
+            object,
+            first: u64::from(triangles),
+            expected,
+        });
     }
     Ok(())
 }
 
 fn tree_section(tree: &CellTree) -> Vec<u8> {
-    let mut bytes: Vec<u8> = tree.view_box().as_flattened().iter().flat_map(|v| v.to_le_bytes()).collect();
+    let mut bytes: Vec<u8> = tree
+        .view_box()
+        .as_flattened()
+        .iter()
+        .flat_map(|v| v.to_le_bytes())
+        .collect();
     for node in tree.nodes() {
         let (axis, at) = match *node {
             Node::Split { axis, at } => (u32::from(axis), at),
@@ -401,10 +494,18 @@ fn each<T: Send>(cells: &[Cell<'_>], f: impl Fn(usize, &Cell<'_>) -> T + Sync) -
     #[cfg(feature = "parallel")]
     {
         use rayon::prelude::*;
-        cells.par_iter().enumerate().map(|(i, cell)| f(i, cell)).collect()
+        cells
+            .par_iter()
+            .enumerate()
+            .map(|(i, cell)| f(i, cell))
+            .collect()
     }
     #[cfg(not(feature = "parallel"))]
-    cells.iter().enumerate().map(|(i, cell)| f(i, cell)).collect()
+    cells
+        .iter()
+        .enumerate()
+        .map(|(i, cell)| f(i, cell))
+        .collect()
 }
 
 fn object_section(objects: &[Object]) -> Vec<u8> {

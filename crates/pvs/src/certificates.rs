@@ -63,10 +63,17 @@ impl Certificates {
     }
 
     /// Calls `take` with the offsets and then with the bytes, in pieces.
-    fn each(&mut self, cells: u32, take: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<()> {
+    fn each(
+        &mut self,
+        cells: u32,
+        take: &mut dyn FnMut(&[u8]) -> io::Result<()>,
+    ) -> io::Result<()> {
         let length = self.length();
         let ends = (0..cells as usize).map(|cell| self.ends.get(cell).copied().unwrap_or(length));
-        let offsets: Vec<u8> = std::iter::once(0).chain(ends).flat_map(u64::to_le_bytes).collect();
+        let offsets: Vec<u8> = std::iter::once(0)
+            .chain(ends)
+            .flat_map(u64::to_le_bytes)
+            .collect();
         take(&offsets)?;
         match &mut self.kept {
             Kept::Memory(all) => take(all),
@@ -75,7 +82,8 @@ impl Certificates {
                 let mut piece = vec![0; AT_ONCE.min(usize::try_from(length).unwrap_or(AT_ONCE))];
                 let mut left = length;
                 while left > 0 {
-                    let some = usize::try_from(left).map_or(piece.len(), |left| left.min(piece.len()));
+                    let some =
+                        usize::try_from(left).map_or(piece.len(), |left| left.min(piece.len()));
                     file.read_exact(&mut piece[..some])?;
                     take(&piece[..some])?;
                     left -= some as u64;
@@ -98,13 +106,19 @@ mod tests {
             .map(|n| (0..*n).map(|i| (i * 31 + n) as u8).collect())
             .collect();
         let written = |kept: Kept| {
-            let mut certificates = Certificates { ends: Vec::new(), kept };
+            let mut certificates = Certificates {
+                ends: Vec::new(),
+                kept,
+            };
             assert!(certificates.section(7).unwrap().is_none());
             pieces.iter().for_each(|p| certificates.push(p).unwrap());
             let section = certificates.section(7).unwrap().unwrap();
             let mut out = Vec::new();
             certificates.write(7, &mut out).unwrap();
-            assert_eq!((section.length, section.crc), (out.len() as u64, crc32c::crc32c(&out)));
+            assert_eq!(
+                (section.length, section.crc),
+                (out.len() as u64, crc32c::crc32c(&out))
+            );
             out
         };
         let memory = written(Kept::default());

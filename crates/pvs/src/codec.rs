@@ -49,7 +49,9 @@ pub fn is_absolute(bytes: &[u8]) -> bool {
 /// Decodes a set of ids below `limit`. Calls `each` with the start and the exclusive end of each run,
 /// ascending. On an error `each` may have been called for some runs.
 pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Result<(), BadSet> {
-    let Some((&flags, rest)) = bytes.split_first() else { return Ok(()) };
+    let Some((&flags, rest)) = bytes.split_first() else {
+        return Ok(());
+    };
     if flags == ABSOLUTE | EMPTY && rest.is_empty() {
         return Ok(());
     }
@@ -66,7 +68,10 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
     let short = BadSet("it is cut short");
     let (count, rest) = read_varint(rest).ok_or(short)?;
     let (gap_bytes, rest) = read_varint(rest).ok_or(short)?;
-    let (gaps, runs) = usize::try_from(gap_bytes).ok().and_then(|n| rest.split_at_checked(n)).ok_or(short)?;
+    let (gaps, runs) = usize::try_from(gap_bytes)
+        .ok()
+        .and_then(|n| rest.split_at_checked(n))
+        .ok_or(short)?;
     // Every code has at least one bit, so the number of bytes bounds the loop.
     if count == 0 || count > gaps.len().min(runs.len()) as u64 * 8 {
         return Err(BadSet("its count does not fit its length"));
@@ -89,7 +94,10 @@ pub fn decode(bytes: &[u8], limit: u32, mut each: impl FnMut(u32, u32)) -> Resul
 /// The numbers to code, each with whether it is a run's.
 fn lengths(bounds: &[u32]) -> impl Iterator<Item = (u32, bool)> + '_ {
     // Boundaries ascend strictly, so only the first gap can be 0; it is coded without subtracting 1.
-    bounds.iter().enumerate().map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
+    bounds
+        .iter()
+        .enumerate()
+        .map(|(i, &b)| (if i == 0 { b } else { b - bounds[i - 1] - 1 }, i % 2 == 1))
 }
 
 /// The order that codes the numbers in the fewest bits; the least order among equals.
@@ -111,14 +119,23 @@ fn best_order(values: impl Iterator<Item = u32>) -> u32 {
     let bits = |k: u32| -> u64 {
         let code = |length: u32, ones: u32| {
             // n = ⌊log₂(v + 2ᵏ)⌋: the sum carries into a new bit when all bits from k up are ones.
-            let n = if k >= length { k } else { length - u32::from(k < length - ones) };
+            let n = if k >= length {
+                k
+            } else {
+                length - u32::from(k < length - ones)
+            };
             u64::from(2 * n - k + 1)
         };
-        kinds.iter().map(|(length, ones, count)| count * code(*length, *ones)).sum()
+        kinds
+            .iter()
+            .map(|(length, ones, count)| count * code(*length, *ones))
+            .sum()
     };
     // For orders from the greatest length on, every code has k + 1 bits.
     let longest = kinds.last().map_or(0, |kind| kind.0);
-    (0..=longest.min(MAX_ORDER)).min_by_key(|&k| bits(k)).unwrap_or(0)
+    (0..=longest.min(MAX_ORDER))
+        .min_by_key(|&k| bits(k))
+        .unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -143,7 +160,11 @@ mod order_tests {
 
 /// The codes of all the numbers, one after another.
 fn code_all(values: impl Iterator<Item = u32>, k: u32) -> Vec<u8> {
-    let mut bits = BitWriter { out: Vec::new(), buffer: 0, held: 0 };
+    let mut bits = BitWriter {
+        out: Vec::new(),
+        buffer: 0,
+        held: 0,
+    };
     for value in values {
         let w = u64::from(value) + (1 << k);
         let n = w.ilog2();
@@ -194,7 +215,8 @@ impl BitWriter {
         self.buffer |= value << self.held;
         self.held += count;
         while self.held >= 32 {
-            self.out.extend_from_slice(&(self.buffer as u32).to_le_bytes());
+            self.out
+                .extend_from_slice(&(self.buffer as u32).to_le_bytes());
             self.buffer >>= 32;
             self.held -= 32;
         }
@@ -202,7 +224,8 @@ impl BitWriter {
 
     fn finish(mut self) -> Vec<u8> {
         let bytes = self.buffer.to_le_bytes();
-        self.out.extend_from_slice(&bytes[..self.held.div_ceil(8) as usize]);
+        self.out
+            .extend_from_slice(&bytes[..self.held.div_ceil(8) as usize]);
         self.out
     }
 }
@@ -216,7 +239,11 @@ struct BitReader<'a> {
 
 impl<'a> BitReader<'a> {
     fn new(rest: &'a [u8]) -> Self {
-        Self { rest, buffer: 0, held: 0 }
+        Self {
+            rest,
+            buffer: 0,
+            held: 0,
+        }
     }
 
     /// Fills the buffer to at least 56 bits, or with all bits that are left.
@@ -316,7 +343,11 @@ mod tests {
             round_trip(&[0, u32::MAX], absolute, u32::MAX);
             round_trip(&[u32::MAX - 1, u32::MAX], absolute, u32::MAX);
             round_trip(&[0, 1, u32::MAX - 1, u32::MAX], absolute, u32::MAX);
-            round_trip(&(0..2000).map(|i| i * i).collect::<Vec<_>>(), absolute, 4_000_000);
+            round_trip(
+                &(0..2000).map(|i| i * i).collect::<Vec<_>>(),
+                absolute,
+                4_000_000,
+            );
         }
     }
 
@@ -324,7 +355,10 @@ mod tests {
     fn long_codes_in_a_row_round_trip() {
         // Covers 33-bit codes put while 31 bits are buffered: all numbers of short gaps before two long ones.
         for short in 0..64u32 {
-            let gaps = (0..short).map(|_| 1).chain([100_000, 100_000, 65_536]).chain((0..60).map(|_| 1));
+            let gaps = (0..short)
+                .map(|_| 1)
+                .chain([100_000, 100_000, 65_536])
+                .chain((0..60).map(|_| 1));
             let mut end = 0;
             let bounds: Vec<u32> = gaps
                 .flat_map(|gap| {

@@ -34,10 +34,16 @@ pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
     bytes.extend(length("the number of columns", columns.len())?);
     let mut names = BTreeSet::new();
     for Column { name, values } in columns {
-        let bad = |reason: String| PvsError::Column { name: name.clone(), reason };
+        let bad = |reason: String| PvsError::Column {
+            name: name.clone(),
+            reason,
+        };
         check_name(name, &mut names).map_err(|reason| bad(reason.to_owned()))?;
         if values.len() as u64 != u64::from(cells) {
-            return Err(bad(format!("it has {} values for {cells} cells", values.len())));
+            return Err(bad(format!(
+                "it has {} values for {cells} cells",
+                values.len()
+            )));
         }
         let mut data = Vec::with_capacity(values.len());
         for &value in values {
@@ -53,7 +59,9 @@ pub fn encode(columns: &[Column], cells: u32) -> Result<Vec<u8>, PvsError> {
 
 /// Checks that the section of a file with `cells` cells can be decoded.
 pub fn check(bytes: &[u8], cells: u32) -> Result<(), PvsError> {
-    for_each(bytes, cells, |name, data| each_value(name, data, cells, |_| ()))
+    for_each(bytes, cells, |name, data| {
+        each_value(name, data, cells, |_| ())
+    })
 }
 
 /// The columns of a file with `cells` cells.
@@ -63,7 +71,10 @@ pub fn decode(bytes: &[u8], cells: u32) -> Result<Vec<Column>, PvsError> {
         // The data has at least a byte for each cell, so the file bounds this allocation.
         let mut values = Vec::with_capacity(cells as usize);
         each_value(name, data, cells, |value| values.push(value))?;
-        columns.push(Column { name: name.to_owned(), values });
+        columns.push(Column {
+            name: name.to_owned(),
+            values,
+        });
         Ok(())
     })?;
     Ok(columns)
@@ -88,9 +99,11 @@ fn for_each<'a>(
     let mut names = BTreeSet::new();
     for _ in 0..count {
         let (name, after) = take_bytes(rest).ok_or_else(|| bad("a name reaches beyond its end"))?;
-        let (data, after) = take_bytes(after).ok_or_else(|| bad("a column reaches beyond its end"))?;
+        let (data, after) =
+            take_bytes(after).ok_or_else(|| bad("a column reaches beyond its end"))?;
         rest = after;
-        let name = std::str::from_utf8(name).map_err(|e| Section::Columns.malformed(e.to_string()))?;
+        let name =
+            std::str::from_utf8(name).map_err(|e| Section::Columns.malformed(e.to_string()))?;
         // The message leaves out the name, which is the fault and may have any length.
         check_name(name, &mut names).map_err(|reason| bad(&format!("of a column, {reason}")))?;
         if (data.len() as u64) < u64::from(cells) {
@@ -98,17 +111,30 @@ fn for_each<'a>(
         }
         each(name, data)?;
     }
-    if rest.is_empty() { Ok(()) } else { Err(bad("bytes follow its last column")) }
+    if rest.is_empty() {
+        Ok(())
+    } else {
+        Err(bad("bytes follow its last column"))
+    }
 }
 
 /// Calls `each` with the values of a column's data, which must have one value for each cell and nothing else.
-fn each_value(name: &str, mut data: &[u8], cells: u32, mut each: impl FnMut(u64)) -> Result<(), PvsError> {
+fn each_value(
+    name: &str,
+    mut data: &[u8],
+    cells: u32,
+    mut each: impl FnMut(u64),
+) -> Result<(), PvsError> {
     for _ in 0..cells {
         let (value, rest) = take_value(data).map_err(|reason| bad_values(name, reason))?;
         each(value);
         data = rest;
     }
-    if data.is_empty() { Ok(()) } else { Err(bad_values(name, "bytes follow its last value")) }
+    if data.is_empty() {
+        Ok(())
+    } else {
+        Err(bad_values(name, "bytes follow its last value"))
+    }
 }
 
 fn bad_values(name: &str, reason: &str) -> PvsError {
@@ -120,17 +146,23 @@ fn check_name<'a>(name: &'a str, earlier: &mut BTreeSet<&'a str>) -> Result<(), 
     if !(1..=MAX_NAME).contains(&name.len()) {
         return Err("the name must have 1 to 64 bytes");
     }
-    if earlier.insert(name) { Ok(()) } else { Err("the name is that of an earlier one") }
+    if earlier.insert(name) {
+        Ok(())
+    } else {
+        Err("the name is that of an earlier one")
+    }
 }
 
 /// A length as the file has it.
 fn length(what: &'static str, value: usize) -> Result<[u8; 4], PvsError> {
     let limit = u64::from(u32::MAX);
-    u32::try_from(value).map(u32::to_le_bytes).map_err(|_| PvsError::TooLarge {
-        what,
-        value: value as u64,
-        limit,
-    })
+    u32::try_from(value)
+        .map(u32::to_le_bytes)
+        .map_err(|_| PvsError::TooLarge {
+            what,
+            value: value as u64,
+            limit,
+        })
 }
 
 /// Takes a length off the front; also the rest.
@@ -164,7 +196,11 @@ fn take_value(bytes: &[u8]) -> Result<(u64, &[u8]), &'static str> {
             };
         }
     }
-    Err(if bytes.len() < 10 { "a value is cut short" } else { "a value is beyond 64 bits" })
+    Err(if bytes.len() < 10 {
+        "a value is cut short"
+    } else {
+        "a value is beyond 64 bits"
+    })
 }
 
 #[cfg(test)]
@@ -173,7 +209,10 @@ mod tests {
     use proptest::prelude::*;
 
     fn column(name: &str, values: &[u64]) -> Column {
-        Column { name: name.to_owned(), values: values.to_vec() }
+        Column {
+            name: name.to_owned(),
+            values: values.to_vec(),
+        }
     }
 
     /// A section of columns, each given by its name and data, valid or not.
@@ -188,16 +227,27 @@ mod tests {
 
     #[test]
     fn the_bytes_are_as_described() {
-        let bytes = encode(&[column("a", &[0, 127, 128]), column("bü", &[1, u64::MAX, 300])], 3).unwrap();
+        let bytes = encode(
+            &[
+                column("a", &[0, 127, 128]),
+                column("bü", &[1, u64::MAX, 300]),
+            ],
+            3,
+        )
+        .unwrap();
         let longest = [0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1];
         let second = [&[1][..], &longest, &[0xac, 2]].concat();
-        assert_eq!(bytes, section(&[(b"a", &[0, 127, 0x80, 1]), ("bü".as_bytes(), &second)]));
+        assert_eq!(
+            bytes,
+            section(&[(b"a", &[0, 127, 0x80, 1]), ("bü".as_bytes(), &second)])
+        );
         assert!(encode(&[], 3).unwrap().is_empty());
     }
 
     #[test]
     fn a_value_takes_a_byte_for_seven_bits() {
-        let size = |value| encode(&[column("a", &[value])], 1).unwrap().len() - 4 - LENGTHS as usize - 1;
+        let size =
+            |value| encode(&[column("a", &[value])], 1).unwrap().len() - 4 - LENGTHS as usize - 1;
         for bits in 1..=64u32 {
             let largest = u64::MAX >> (64 - bits);
             assert_eq!(size(largest), bits.div_ceil(7) as usize, "{bits} bits");
@@ -218,7 +268,14 @@ mod tests {
         assert!(why(&[column("", &[1, 2])]).contains("1 to 64"));
         assert!(why(&[column(&"ü".repeat(33), &[1, 2])]).contains("1 to 64"));
         assert!(encode(&[column(&"ü".repeat(32), &[1, 2])], 2).is_ok());
-        assert!(why(&[column("a", &[1, 2]), column("b", &[1, 2]), column("a", &[3, 4])]).contains("earlier"));
+        assert!(
+            why(&[
+                column("a", &[1, 2]),
+                column("b", &[1, 2]),
+                column("a", &[3, 4])
+            ])
+            .contains("earlier")
+        );
         assert!(why(&[column("a", &[1])]).contains("1 values for 2 cells"));
         assert!(why(&[column("a", &[1, 2, 3])]).contains("3 values for 2 cells"));
     }
@@ -226,7 +283,13 @@ mod tests {
     #[test]
     fn bad_sections_are_named() {
         let why = |bytes: &[u8]| match (check(bytes, 2), decode(bytes, 2)) {
-            (Err(PvsError::Malformed { section: "columns", reason }), Err(again)) => {
+            (
+                Err(PvsError::Malformed {
+                    section: "columns",
+                    reason,
+                }),
+                Err(again),
+            ) => {
                 assert!(again.to_string().contains(&reason), "{again}");
                 reason
             }

@@ -23,7 +23,10 @@ impl Contribution {
     /// The contribution of an item that takes the share `mean` of all directions on average over the cell,
     /// and `greatest` from one viewpoint; 0 when no line met it.
     pub fn new(mean: f64, greatest: f64) -> Self {
-        Self { mean: level(mean), greatest: level(greatest) }
+        Self {
+            mean: level(mean),
+            greatest: level(greatest),
+        }
     }
 
     /// As a byte of the file.
@@ -33,7 +36,10 @@ impl Contribution {
 
     /// From a byte of the file.
     pub fn from_byte(byte: u8) -> Self {
-        Self { mean: byte & MOST, greatest: byte >> 4 }
+        Self {
+            mean: byte & MOST,
+            greatest: byte >> 4,
+        }
     }
 
     /// The least and the greatest mean share that it stands for, as fractions of all directions. Both are 0
@@ -73,7 +79,10 @@ fn power(k: u8) -> f64 {
 pub(crate) fn of_cell(section: &[u8], cell: u32, cells: u32) -> Result<&[u8], PvsError> {
     let head = (cells as usize + 1) * 8;
     let [from, to] = [0, 1].map(|k| u64_at(section, (cell as usize + k) * 8) as usize);
-    let bytes = head.checked_add(from).zip(head.checked_add(to)).and_then(|(a, b)| section.get(a..b));
+    let bytes = head
+        .checked_add(from)
+        .zip(head.checked_add(to))
+        .and_then(|(a, b)| section.get(a..b));
     bytes.ok_or_else(|| Section::Contributions.malformed("a cell's part is beyond its end"))
 }
 
@@ -86,7 +95,10 @@ mod tests {
         for share in [1e-9, 1e-5, 3.1e-5, 1e-3, 0.124, 0.125, 0.3, 0.5, 0.9, 1.0] {
             let c = Contribution::from_byte(Contribution::new(share, share / 2.0).byte());
             for (at, of) in [(c.mean(), share), (c.greatest(), share / 2.0)] {
-                assert!(at[0] <= of && of <= at[1] && at[1] <= (2.0 * of).max(power(1)), "{share} {at:?}");
+                assert!(
+                    at[0] <= of && of <= at[1] && at[1] <= (2.0 * of).max(power(1)),
+                    "{share} {at:?}"
+                );
             }
         }
         assert_eq!(Contribution::new(0.0, 0.0).mean(), [0.0, 0.0]);

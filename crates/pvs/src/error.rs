@@ -22,7 +22,9 @@ pub enum PvsError {
     )]
     NotPvs,
     /// The file has another version of the format.
-    #[error("this .pvs file has format version {found}, this program reads version {known}; bake it again")]
+    #[error(
+        "this .pvs file has format version {found}, this program reads version {known}; bake it again"
+    )]
     Version {
         /// The version of the file.
         found: u32,
@@ -30,7 +32,9 @@ pub enum PvsError {
         known: u32,
     },
     /// The file is shorter or longer than its header says.
-    #[error("the .pvs file should have {expected} bytes and has {actual}; copy it again, or bake it again")]
+    #[error(
+        "the .pvs file should have {expected} bytes and has {actual}; copy it again, or bake it again"
+    )]
     Length {
         /// Bytes according to the header, or the least that a header needs.
         expected: u64,

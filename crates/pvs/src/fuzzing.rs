@@ -15,7 +15,9 @@ pub fn pvs(bytes: &[u8]) -> bool {
     let _ = Pvs::from_bytes(bytes);
     let mut sealed = bytes.to_vec();
     seal(&mut sealed);
-    let Ok(pvs) = Pvs::from_bytes(sealed) else { return false };
+    let Ok(pvs) = Pvs::from_bytes(sealed) else {
+        return false;
+    };
     if pvs.triangle_count() <= MOST && pvs.cells() <= MOST && pvs.item_count() <= MOST {
         read(&pvs);
     }
@@ -49,10 +51,22 @@ fn read(pvs: &Pvs) {
         let mut runs = Vec::new();
         if pvs.visible_runs(cell, &mut runs).is_ok() && pvs.visible_bits(cell, &mut bits).is_ok() {
             let of_runs: u32 = runs.iter().map(|run| run.end - run.start).sum();
-            assert_eq!(of_runs, bits.iter().map(|word| word.count_ones()).sum::<u32>());
+            assert_eq!(
+                of_runs,
+                bits.iter().map(|word| word.count_ones()).sum::<u32>()
+            );
         }
-        let _ = (pvs.visible_bytes(cell), pvs.contributions(cell), pvs.certificate(cell));
-        let _ = (pvs.is_set_aside(cell), pvs.is_reached(cell), pvs.sees(cell, 0), pvs.sees(0, cell));
+        let _ = (
+            pvs.visible_bytes(cell),
+            pvs.contributions(cell),
+            pvs.certificate(cell),
+        );
+        let _ = (
+            pvs.is_set_aside(cell),
+            pvs.is_reached(cell),
+            pvs.sees(cell, 0),
+            pvs.sees(0, cell),
+        );
         if let Some([min, max]) = pvs.cell_bounds(cell) {
             let middle = std::array::from_fn(|k| f32::midpoint(min[k], max[k]));
             let _ = (pvs.find_cell(middle), pvs.sees_box(cell, min, max));
@@ -62,13 +76,30 @@ fn read(pvs: &Pvs) {
         pvs.item_triangles(item, &mut ids);
         ascending(&ids, triangles);
     }
-    let _ = (pvs.columns(), pvs.cell_pairs().map(|_| ()), pvs.pair_bytes(), pvs.file_bytes());
-    let Ok(Some(mut looker)) = Looker::new(pvs) else { return };
+    let _ = (
+        pvs.columns(),
+        pvs.cell_pairs().map(|_| ()),
+        pvs.pair_bytes(),
+        pvs.file_bytes(),
+    );
+    let Ok(Some(mut looker)) = Looker::new(pvs) else {
+        return;
+    };
     let [min, max] = pvs.tree().view_box();
     for part in [0.1, 0.5, 0.9] {
-        let eye = std::array::from_fn(|k| f64::from(min[k]) + part * (f64::from(max[k]) - f64::from(min[k])));
-        for (direction, up) in [([1.0, 0.2, 0.1], [0.0, 0.0, 1.0]), ([-0.1, -1.0, 0.3], [1.0, 0.0, 0.0])] {
-            if let Ok(Some(_)) = looker.look(&View { eye, direction, up, fov: [100.0, 70.0] }) {
+        let eye = std::array::from_fn(|k| {
+            f64::from(min[k]) + part * (f64::from(max[k]) - f64::from(min[k]))
+        });
+        for (direction, up) in [
+            ([1.0, 0.2, 0.1], [0.0, 0.0, 1.0]),
+            ([-0.1, -1.0, 0.3], [1.0, 0.0, 0.0]),
+        ] {
+            if let Ok(Some(_)) = looker.look(&View {
+                eye,
+                direction,
+                up,
+                fov: [100.0, 70.0],
+            }) {
                 ascending(looker.visible(), triangles);
             }
         }
@@ -77,7 +108,9 @@ fn read(pvs: &Pvs) {
 
 /// Corrects the checksums of bytes that are as long as a header. Bytes without a header stay as they are.
 pub fn seal(file: &mut [u8]) {
-    let Some(sections) = file.get(12..16).map(|word| u32_at(word, 0)) else { return };
+    let Some(sections) = file.get(12..16).map(|word| u32_at(word, 0)) else {
+        return;
+    };
     let table_end = 40 + sections.min(32) as usize * 24;
     if file.len() < table_end {
         return;
@@ -85,11 +118,15 @@ pub fn seal(file: &mut [u8]) {
     for entry in (40..table_end).step_by(24) {
         let [start, length] =
             [8, 16].map(|at| usize::try_from(u64_at(file, entry + at)).unwrap_or(usize::MAX));
-        if let Some(section) = start.checked_add(length).and_then(|end| file.get(start..end)) {
+        if let Some(section) = start
+            .checked_add(length)
+            .and_then(|end| file.get(start..end))
+        {
             let crc = crc32c::crc32c(section).to_le_bytes();
             file[entry + 4..entry + 8].copy_from_slice(&crc);
         }
     }
-    let crc = crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..table_end]).to_le_bytes();
+    let crc =
+        crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..table_end]).to_le_bytes();
     file[36..40].copy_from_slice(&crc);
 }

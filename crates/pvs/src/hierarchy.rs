@@ -86,7 +86,12 @@ impl Hierarchy {
     ///
     /// # Errors
     /// [`PvsError::Malformed`] when a set coded here cannot be decoded, which would be a bug in this crate.
-    pub fn section(self, of: Section, tree: &CellTree, triangles: u32) -> Result<Vec<u8>, PvsError> {
+    pub fn section(
+        self,
+        of: Section,
+        tree: &CellTree,
+        triangles: u32,
+    ) -> Result<Vec<u8>, PvsError> {
         let mut nodes = vec![Coded::default(); tree.nodes().len()];
         let mut nothing = Vec::new();
         codec::encode(&[], true, &mut nothing);
@@ -96,7 +101,11 @@ impl Hierarchy {
                 nodes[leaf as usize].absolute = coded;
             }
         }
-        let work = Work { of, tree, triangles };
+        let work = Work {
+            of,
+            tree,
+            triangles,
+        };
         let average = work.up(0, &mut nodes)?;
         // Ids open at the root are out of it: either choice stores the same number of ids.
         work.down(0, &mut nodes, &[], &average.within)?;
@@ -118,7 +127,10 @@ impl Work<'_> {
     /// split.
     fn up(&self, node: u32, nodes: &mut [Coded]) -> Result<Average, PvsError> {
         let Some(upper) = self.tree.upper(node) else {
-            return Ok(Average { within: self.decoded(&nodes[0].absolute)?, open: Vec::new() });
+            return Ok(Average {
+                within: self.decoded(&nodes[0].absolute)?,
+                open: Vec::new(),
+            });
         };
         let (own, [below, above]) = parts(nodes, node, upper);
         let (lower, upper) = both(|| self.up(node + 1, below), || self.up(upper, above));
@@ -142,11 +154,19 @@ impl Work<'_> {
 
     /// Codes the node's set in both forms and continues with its children. The recursion is as deep as the
     /// tree, at most [`crate::MAX_DEPTH`].
-    fn down(&self, node: u32, nodes: &mut [Coded], above: &[u32], set: &[u32]) -> Result<(), PvsError> {
+    fn down(
+        &self,
+        node: u32,
+        nodes: &mut [Coded],
+        above: &[u32],
+        set: &[u32],
+    ) -> Result<(), PvsError> {
         let [difference] = runs::sweep([above, set], |m| u32::from(m == 1 || m == 2));
         codec::encode(&difference, false, &mut nodes[0].relative);
         // A cell's absolute form exists already.
-        let Some(upper) = self.tree.upper(node) else { return Ok(()) };
+        let Some(upper) = self.tree.upper(node) else {
+            return Ok(());
+        };
         codec::encode(set, true, &mut nodes[0].absolute);
         let (own, [below, beyond]) = parts(nodes, node, upper);
         let [lower_only, upper_only] = std::mem::take(&mut own.contradictions);
@@ -155,15 +175,19 @@ impl Work<'_> {
         let [in_lower, in_upper] = runs::sweep([set, &lower_only, &upper_only], |m| {
             u32::from(m & 2 != 0 || m == 1) | u32::from(m & 4 != 0 || m == 1) << 1
         });
-        let (lower, upper) =
-            both(|| self.down(node + 1, below, set, &in_lower), || self.down(upper, beyond, set, &in_upper));
+        let (lower, upper) = both(
+            || self.down(node + 1, below, set, &in_lower),
+            || self.down(upper, beyond, set, &in_upper),
+        );
         lower.and(upper)
     }
 
     fn decoded(&self, coded: &[u8]) -> Result<Vec<u32>, PvsError> {
         let mut bounds = Vec::new();
-        codec::decode(coded, self.triangles, |start, end| bounds.extend([start, end]))
-            .map_err(|e| self.of.malformed(e.0))?;
+        codec::decode(coded, self.triangles, |start, end| {
+            bounds.extend([start, end])
+        })
+        .map_err(|e| self.of.malformed(e.0))?;
         Ok(bounds)
     }
 }
@@ -190,13 +214,19 @@ fn chosen(tree: &CellTree, nodes: &[Coded]) -> Vec<u8> {
     // parents, so the loop runs backwards.
     let mut referring = vec![0usize; nodes.len()];
     let mut standing = vec![0usize; nodes.len()];
-    let children = |node: usize| tree.upper(node as u32).map(|upper| [node + 1, upper as usize]);
+    let children = |node: usize| {
+        tree.upper(node as u32)
+            .map(|upper| [node + 1, upper as usize])
+    };
     for node in (0..nodes.len()).rev() {
         let own = nodes[node].absolute.len();
         (referring[node], standing[node]) = children(node).map_or((0, own), |children| {
             let refer = children.map(|c| (nodes[c].relative.len() + referring[c]).min(standing[c]));
             let refer = refer[0] + refer[1];
-            (refer, (own + refer).min(children.iter().map(|&c| standing[c]).sum()))
+            (
+                refer,
+                (own + refer).min(children.iter().map(|&c| standing[c]).sum()),
+            )
         });
     }
     let mut offsets = vec![0u64];
@@ -247,13 +277,20 @@ mod tests {
             let mut sets = Hierarchy::default();
             for cell in 0..64u32 {
                 let ids: Vec<u32> = (0..5000)
-                    .filter(|id| cell > 3 && (id / 7 + cell / 9) % 3 == 0 && (id * 31 + cell) % 11 != 0)
+                    .filter(|id| {
+                        cell > 3 && (id / 7 + cell / 9) % 3 == 0 && (id * 31 + cell) % 11 != 0
+                    })
                     .collect();
                 sets.push(CodedSet::new(&runs::from_ids(&ids), ids.len()));
             }
             sets.section(Section::Visible, &tree, 5000).unwrap()
         };
-        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = |threads| {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap()
+        };
         let alone = pool(1).install(section);
         assert!(alone.len() > 1000);
         assert_eq!(alone, pool(4).install(section));

@@ -94,11 +94,15 @@ impl ItemTable {
     pub fn decode(bytes: &[u8], triangles: u32, objects: &[Object]) -> Result<Self, PvsError> {
         let bad = |reason: &str| Section::Items.malformed(reason);
         let (kind, rest) = bytes.split_first().ok_or_else(|| bad("it is empty"))?;
-        let (count, mut rest) = rest.split_first_chunk::<4>().ok_or_else(|| bad("it has no count"))?;
+        let (count, mut rest) = rest
+            .split_first_chunk::<4>()
+            .ok_or_else(|| bad("it has no count"))?;
         let count = u32::from_le_bytes(*count) as usize;
         let mut next = |bounds: &mut Vec<u32>| {
             let (length, after) = read_varint(rest).ok_or_else(|| bad("it is cut short"))?;
-            let set = usize::try_from(length).ok().and_then(|n| after.split_at_checked(n));
+            let set = usize::try_from(length)
+                .ok()
+                .and_then(|n| after.split_at_checked(n));
             let (set, after) = set.ok_or_else(|| bad("an item reaches beyond its end"))?;
             rest = after;
             codec::decode(set, triangles, |start, end| bounds.extend([start, end]))
@@ -113,10 +117,13 @@ impl ItemTable {
                 let (mut starts, mut bounds) = (vec![0], Vec::new());
                 for _ in 0..count {
                     next(&mut bounds)?;
-                    starts
-                        .push(u32::try_from(bounds.len()).map_err(|_| bad("its items have too many runs"))?);
+                    starts.push(
+                        u32::try_from(bounds.len())
+                            .map_err(|_| bad("its items have too many runs"))?,
+                    );
                 }
-                let mut all: Vec<[u32; 2]> = bounds.chunks_exact(2).map(|run| [run[0], run[1]]).collect();
+                let mut all: Vec<[u32; 2]> =
+                    bounds.chunks_exact(2).map(|run| [run[0], run[1]]).collect();
                 all.sort_unstable();
                 if all.windows(2).any(|w| w[0][1] > w[1][0]) {
                     return Err(bad("two clusters share a triangle"));
@@ -133,7 +140,11 @@ impl ItemTable {
             }
             _ => return Err(bad("its kind is unknown")),
         };
-        if rest.is_empty() { Ok(table) } else { Err(bad("bytes follow its last item")) }
+        if rest.is_empty() {
+            Ok(table)
+        } else {
+            Err(bad("bytes follow its last item"))
+        }
     }
 
     /// What the sets name.
@@ -169,7 +180,10 @@ impl ItemTable {
             }
             Self::Objects { never } => {
                 let of = |run: &[u32]| objects[run[0] as usize..run[1] as usize].iter();
-                let ranges = items.chunks_exact(2).flat_map(of).map(|o| [o.first, o.first + o.count]);
+                let ranges = items
+                    .chunks_exact(2)
+                    .flat_map(of)
+                    .map(|o| [o.first, o.first + o.count]);
                 let all = joined(ranges.filter(|r| r[0] < r[1]));
                 let [shown] = runs::sweep([&all, never], |m| u32::from(m == 1));
                 shown

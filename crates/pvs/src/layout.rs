@@ -116,7 +116,10 @@ impl Section {
     }
 
     pub(crate) fn malformed(self, reason: impl Into<String>) -> PvsError {
-        PvsError::Malformed { section: self.name(), reason: reason.into() }
+        PvsError::Malformed {
+            section: self.name(),
+            reason: reason.into(),
+        }
     }
 }
 
@@ -148,15 +151,23 @@ impl Layout {
         if !file.starts_with(&MAGIC[..MAGIC.len().min(file.len())]) || file.is_empty() {
             return Err(PvsError::NotPvs);
         }
-        let first =
-            |length: usize| file.get(..length).ok_or(PvsError::Length { expected: length as u64, actual });
+        let first = |length: usize| {
+            file.get(..length).ok_or(PvsError::Length {
+                expected: length as u64,
+                actual,
+            })
+        };
         let header = first(header_len(LEAST_SECTIONS))?;
         let found = u32_at(header, 8);
         if !(1..=VERSION).contains(&found) {
-            return Err(PvsError::Version { found, known: VERSION });
+            return Err(PvsError::Version {
+                found,
+                known: VERSION,
+            });
         }
         let sections = u32_at(header, 12) as usize;
-        let known = (LEAST_SECTIONS..=if found == 1 { SECTIONS_OF_1 } else { SECTIONS }).contains(&sections);
+        let known = (LEAST_SECTIONS..=if found == 1 { SECTIONS_OF_1 } else { SECTIONS })
+            .contains(&sections);
         // An impossible number is most likely an altered byte, which the checksum reports.
         let header = first(header_len(if known { sections } else { LEAST_SECTIONS }))?;
         if crc32c::crc32c_append(crc32c::crc32c(&header[..CRC_AT]), &header[TABLE_AT..])
@@ -164,7 +175,10 @@ impl Layout {
         {
             return Err(PvsError::Checksum { section: "header" });
         }
-        let malformed = |reason: &str| PvsError::Malformed { section: "header", reason: reason.to_owned() };
+        let malformed = |reason: &str| PvsError::Malformed {
+            section: "header",
+            reason: reason.to_owned(),
+        };
         if !known {
             return Err(malformed("it has fewer or more sections than there are"));
         }
@@ -172,9 +186,12 @@ impl Layout {
         if expected != actual {
             return Err(PvsError::Length { expected, actual });
         }
-        let (triangles, cells, nodes) = (u32_at(header, 24), u32_at(header, 28), u32_at(header, 32));
+        let (triangles, cells, nodes) =
+            (u32_at(header, 24), u32_at(header, 28), u32_at(header, 32));
         if cells == 0 || u64::from(nodes) != 2 * u64::from(cells) - 1 {
-            return Err(malformed("a tree of M cells has 2M − 1 nodes, and M is at least 1"));
+            return Err(malformed(
+                "a tree of M cells has 2M − 1 nodes, and M is at least 1",
+            ));
         }
         let mut at = header.len();
         let mut ranges = [const { 0..0 }; SECTIONS];
@@ -185,7 +202,8 @@ impl Layout {
             let section = Section::ALL
                 .get(number)
                 .filter(|_| number >= least && (number == i || (found > 1 && i >= LEAST_SECTIONS)));
-            let section = section.ok_or_else(|| malformed("its sections are not those of its version"))?;
+            let section =
+                section.ok_or_else(|| malformed("its sections are not those of its version"))?;
             if u64_at(header, entry + 8) != at as u64 {
                 return Err(malformed("its sections do not follow one another"));
             }
@@ -194,7 +212,9 @@ impl Layout {
                 .and_then(|length| file.get(at..at.checked_add(length)?))
                 .ok_or_else(|| malformed("a section reaches beyond the end of the file"))?;
             if crc32c::crc32c(bytes) != u32_at(header, entry + 4) {
-                return Err(PvsError::Checksum { section: section.name() });
+                return Err(PvsError::Checksum {
+                    section: section.name(),
+                });
             }
             ranges[number] = at..at + bytes.len();
             present |= 1 << number;
@@ -204,7 +224,13 @@ impl Layout {
         if at != file.len() {
             return Err(malformed("bytes follow its last section"));
         }
-        Ok(Self { triangles, cells, nodes, present, ranges })
+        Ok(Self {
+            triangles,
+            cells,
+            nodes,
+            present,
+            ranges,
+        })
     }
 }
 
@@ -223,13 +249,18 @@ pub(crate) struct Written {
 
 impl Written {
     pub fn of(section: Section, bytes: &[u8]) -> Self {
-        Self { section, length: bytes.len() as u64, crc: crc32c::crc32c(bytes) }
+        Self {
+            section,
+            length: bytes.len() as u64,
+            crc: crc32c::crc32c(bytes),
+        }
     }
 }
 
 /// The header of a file with these sections, in the order of [`Section::ALL`].
 pub(crate) fn header(triangles: u32, cells: u32, nodes: u32, sections: &[Written]) -> Vec<u8> {
-    let file_len = header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
+    let file_len =
+        header_len(sections.len()) as u64 + sections.iter().map(|s| s.length).sum::<u64>();
     let mut table = Vec::with_capacity(sections.len() * 24);
     let mut at = header_len(sections.len()) as u64;
     let newest = sections.last().map_or(0, |s| s.section as usize);

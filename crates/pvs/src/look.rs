@@ -90,11 +90,16 @@ impl<'a> Looker<'a> {
     /// # Errors
     /// [`PvsError::Malformed`] for a file that was tampered with, [`PvsError::Memory`].
     pub fn new(pvs: &'a Pvs) -> Result<Option<Self>, PvsError> {
-        let Some(portals) = pvs.portals()? else { return Ok(None) };
+        let Some(portals) = pvs.portals()? else {
+            return Ok(None);
+        };
         let leaves = portals.leaves.len();
         let mut starts = vec![0u32; leaves + 1];
         for portal in &portals.portals {
-            portal.leaves.iter().for_each(|leaf| starts[*leaf as usize + 1] += 1);
+            portal
+                .leaves
+                .iter()
+                .for_each(|leaf| starts[*leaf as usize + 1] += 1);
         }
         for leaf in 0..leaves {
             starts[leaf + 1] += starts[leaf];
@@ -112,21 +117,36 @@ impl<'a> Looker<'a> {
         let words = (pvs.triangle_count() as usize).div_ceil(64);
         let zeros = || {
             let mut bits = Vec::new();
-            let no_memory = |_| PvsError::Memory { triangles: pvs.triangle_count() };
+            let no_memory = |_| PvsError::Memory {
+                triangles: pvs.triangle_count(),
+            };
             bits.try_reserve_exact(words).map_err(no_memory)?;
             bits.resize(words, 0);
             Ok::<_, PvsError>(bits)
         };
-        let most = portals.leaves.iter().map(Vec::len).sum::<usize>().min(pvs.triangle_count() as usize);
+        let most = portals
+            .leaves
+            .iter()
+            .map(Vec::len)
+            .sum::<usize>()
+            .min(pvs.triangle_count() as usize);
         let (mut runs, mut run_starts) = (Vec::new(), vec![0]);
         for ids in &portals.leaves {
-            runs.extend(runs::from_ids(ids).chunks_exact(2).map(|run| [run[0], run[1]]));
+            runs.extend(
+                runs::from_ids(ids)
+                    .chunks_exact(2)
+                    .map(|run| [run[0], run[1]]),
+            );
             run_starts.push(runs.len() as u32);
         }
         Ok(Some(Self {
             runs,
             run_starts,
-            spheres: portals.portals.iter().map(|portal| sphere(&portal.corners)).collect(),
+            spheres: portals
+                .portals
+                .iter()
+                .map(|portal| sphere(&portal.corners))
+                .collect(),
             points: [(); 2].map(|()| Vec::with_capacity(MOST)),
             starts,
             of_leaf,
@@ -167,7 +187,9 @@ impl<'a> Looker<'a> {
     pub fn look(&mut self, view: &View) -> Result<Option<u32>, LookError> {
         let frame = Frame::of(view, self.portals.size)?;
         self.visible.clear();
-        let Some(cell) = self.pvs.find_cell_precisely(view.eye) else { return Ok(None) };
+        let Some(cell) = self.pvs.find_cell_precisely(view.eye) else {
+            return Ok(None);
+        };
         if self.cell != cell {
             self.cell = NONE;
             self.pvs.visible_bits(cell, &mut self.set)?;
@@ -192,7 +214,9 @@ impl<'a> Looker<'a> {
         self.seen.fill(0);
         for leaf in &self.leaves {
             let [from, to] = [0, 1].map(|k| self.run_starts[*leaf as usize + k] as usize);
-            self.runs[from..to].iter().for_each(|run| set_bits(&mut self.seen, *run));
+            self.runs[from..to]
+                .iter()
+                .for_each(|run| set_bits(&mut self.seen, *run));
         }
         for (k, (set, seen)) in self.set.iter().zip(&self.seen).enumerate() {
             let mut left = set & seen;
@@ -282,7 +306,11 @@ impl<'a> Looker<'a> {
             // Lines from the eye cross it away from the eye.
             let is_up = portal.leaves[0] == leaf;
             let height = frame.height(&self.portals.planes[portal.plane as usize]);
-            if if is_up { height > frame.off } else { height < -frame.off } {
+            if if is_up {
+                height > frame.off
+            } else {
+                height < -frame.off
+            } {
                 continue;
             }
             if frame.is_outside(self.spheres[number], window) {
@@ -320,7 +348,11 @@ fn dot(a: &[f64], b: [f64; 3]) -> f64 {
 }
 
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
@@ -352,7 +384,12 @@ impl Frame {
             [-most, most]
         });
         let most = view.eye.iter().fold(size, |m, x| m.max(x.abs()));
-        Ok(Self { eye: view.eye, axes: [right, up, ahead], whole, off: OFF * most })
+        Ok(Self {
+            eye: view.eye,
+            axes: [right, up, ahead],
+            whole,
+            off: OFF * most,
+        })
     }
 
     /// The height of the eye above a plane.
@@ -361,7 +398,11 @@ impl Frame {
     }
 
     fn flat(&self, point: [f64; 3]) -> [f64; 3] {
-        let from = [point[0] - self.eye[0], point[1] - self.eye[1], point[2] - self.eye[2]];
+        let from = [
+            point[0] - self.eye[0],
+            point[1] - self.eye[1],
+            point[2] - self.eye[2],
+        ];
         self.axes.map(|axis| dot(&axis, from))
     }
 
@@ -446,7 +487,10 @@ fn sphere(corners: &[[f64; 3]]) -> ([f64; 3], f64) {
         let from = [c[0] - centre[0], c[1] - centre[1], c[2] - centre[2]];
         dot(&from, from).sqrt()
     };
-    (centre, corners.iter().map(far).fold(0.0, f64::max) * (1.0 + 1e-9))
+    (
+        centre,
+        corners.iter().map(far).fold(0.0, f64::max) * (1.0 + 1e-9),
+    )
 }
 
 /// Sets the bits from the start of a run to before its end.

@@ -30,12 +30,17 @@ impl Relation {
     pub fn empty(cells: u32) -> Result<Self, PvsError> {
         if cells > MOST_PAIR_CELLS {
             let (value, limit) = (u64::from(cells), u64::from(MOST_PAIR_CELLS));
-            return Err(PvsError::TooLarge { what: "the number of cells with pairs", value, limit });
+            return Err(PvsError::TooLarge {
+                what: "the number of cells with pairs",
+                value,
+                limit,
+            });
         }
         let words = (cells as usize).div_ceil(64);
         let mut rows = Vec::new();
         let length = words * cells as usize;
-        rows.try_reserve_exact(length).map_err(|_| PvsError::Memory { triangles: cells })?;
+        rows.try_reserve_exact(length)
+            .map_err(|_| PvsError::Memory { triangles: cells })?;
         rows.resize(length, 0);
         Ok(Self { cells, words, rows })
     }
@@ -65,7 +70,10 @@ impl Relation {
     /// Whether `cell` is a pair with any of the cells from `first` up to but not including `end`.
     pub(crate) fn has_any(&self, cell: u32, first: u32, end: u32) -> bool {
         let row = self.row(cell);
-        let (from, to) = (first as usize / 64, (end as usize).div_ceil(64).min(row.len()));
+        let (from, to) = (
+            first as usize / 64,
+            (end as usize).div_ceil(64).min(row.len()),
+        );
         (from..to).any(|w| {
             let mut bits = row[w];
             if w == from {
@@ -126,7 +134,9 @@ impl Relation {
         let mut above: Vec<u32> = Vec::new();
         for cell in 0..cells {
             let (length, rest) = read_varint(bytes).ok_or_else(|| bad("it is cut short"))?;
-            let row = usize::try_from(length).ok().and_then(|n| rest.split_at_checked(n));
+            let row = usize::try_from(length)
+                .ok()
+                .and_then(|n| rest.split_at_checked(n));
             let (row, rest) = row.ok_or_else(|| bad("a row reaches beyond its end"))?;
             *bytes = rest;
             let mut change = Vec::new();
@@ -137,7 +147,10 @@ impl Relation {
             }
             let [above_here] = runs::sweep([&above, &[cell, u32::MAX]], |m| u32::from(m == 3));
             [above] = runs::sweep([&change, &above_here], |m| u32::from(m == 1 || m == 2));
-            above.chunks_exact(2).flat_map(|run| run[0]..run[1]).for_each(|b| relation.insert(cell, b));
+            above
+                .chunks_exact(2)
+                .flat_map(|run| run[0]..run[1])
+                .for_each(|b| relation.insert(cell, b));
         }
         Ok(relation)
     }
@@ -184,7 +197,10 @@ impl CellPairs {
         if visible.cells != cells || undecided.as_ref().is_some_and(|u| u.cells != cells) {
             return bad("it is over another number of cells");
         }
-        if undecided.as_ref().is_some_and(|u| u.rows.iter().zip(&visible.rows).any(|(u, v)| u & !v != 0)) {
+        if undecided
+            .as_ref()
+            .is_some_and(|u| u.rows.iter().zip(&visible.rows).any(|(u, v)| u & !v != 0))
+        {
             return bad("a pair is undecided and not visible");
         }
         Ok(())
@@ -198,7 +214,9 @@ mod tests {
 
     fn relation(cells: u32, pairs: &[(u32, u32)]) -> Relation {
         let mut relation = Relation::empty(cells).unwrap();
-        pairs.iter().for_each(|(a, b)| relation.insert(a % cells, b % cells));
+        pairs
+            .iter()
+            .for_each(|(a, b)| relation.insert(a % cells, b % cells));
         relation
     }
 
@@ -232,7 +250,10 @@ mod tests {
 
     #[test]
     fn too_many_cells_are_refused_before_memory_is_taken() {
-        assert!(matches!(Relation::empty(MOST_PAIR_CELLS + 1), Err(PvsError::TooLarge { .. })));
+        assert!(matches!(
+            Relation::empty(MOST_PAIR_CELLS + 1),
+            Err(PvsError::TooLarge { .. })
+        ));
         assert!(CellPairs::decode(&[0; 20], 21).is_err());
     }
 }

@@ -16,7 +16,10 @@ pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
     let nodes = (24..bytes.len())
         .step_by(8)
         .map(|at| match u32_at(bytes, at) {
-            axis @ 0..=2 => Ok(Node::Split { axis: axis as u8, at: float(at + 4) }),
+            axis @ 0..=2 => Ok(Node::Split {
+                axis: axis as u8,
+                at: float(at + 4),
+            }),
             3 => Ok(Node::Leaf),
             other => Err(Section::Tree.malformed(format!("a node has axis {other}"))),
         })
@@ -27,7 +30,9 @@ pub fn read_tree(bytes: &[u8], nodes: u32) -> Result<CellTree, PvsError> {
 /// Parses the object section, without checking that the objects tile the triangles.
 pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
     let bad = |reason: &str| Section::Objects.malformed(reason);
-    let (count, rest) = bytes.split_first_chunk::<4>().ok_or_else(|| bad("it has no count"))?;
+    let (count, rest) = bytes
+        .split_first_chunk::<4>()
+        .ok_or_else(|| bad("it has no count"))?;
     let table_len = u32::from_le_bytes(*count) as usize as u64 * 12;
     let (table, mut names) = usize::try_from(table_len)
         .ok()
@@ -39,11 +44,21 @@ pub fn read_objects(bytes: &[u8]) -> Result<Vec<Object>, PvsError> {
             .split_at_checked(u32_at(entry, 8) as usize)
             .ok_or_else(|| bad("a name reaches beyond its end"))?;
         names = after;
-        let name =
-            std::str::from_utf8(name).map_err(|e| Section::Objects.malformed(e.to_string()))?.to_owned();
-        objects.push(Object { name, first: u32_at(entry, 0), count: u32_at(entry, 4), source: None });
+        let name = std::str::from_utf8(name)
+            .map_err(|e| Section::Objects.malformed(e.to_string()))?
+            .to_owned();
+        objects.push(Object {
+            name,
+            first: u32_at(entry, 0),
+            count: u32_at(entry, 4),
+            source: None,
+        });
     }
-    if names.is_empty() { Ok(objects) } else { Err(bad("bytes follow its last name")) }
+    if names.is_empty() {
+        Ok(objects)
+    } else {
+        Err(bad("bytes follow its last name"))
+    }
 }
 
 /// Reads where the objects are in their glTF file.
@@ -55,7 +70,12 @@ pub fn read_sources(bytes: &[u8], objects: &mut [Object]) -> Result<(), PvsError
     for (object, entry) in objects.iter_mut().zip(bytes.chunks_exact(SOURCE_BYTES)) {
         let [node, mesh, primitive, instance] = [0, 4, 8, 12].map(|at| there(u32_at(entry, at)));
         object.source = match (node, mesh, primitive) {
-            (Some(node), Some(mesh), Some(primitive)) => Some(Source { node, mesh, primitive, instance }),
+            (Some(node), Some(mesh), Some(primitive)) => Some(Source {
+                node,
+                mesh,
+                primitive,
+                instance,
+            }),
             (None, None, None) => None,
             _ => return Err(Section::Sources.malformed("an object has a part of a source")),
         };
@@ -72,7 +92,11 @@ pub fn source_section(objects: &[Object]) -> Vec<u8> {
         Some(s) => [s.node, s.mesh, s.primitive, s.instance.unwrap_or(u32::MAX)],
         None => [u32::MAX; 4],
     };
-    objects.iter().flat_map(entry).flat_map(u32::to_le_bytes).collect()
+    objects
+        .iter()
+        .flat_map(entry)
+        .flat_map(u32::to_le_bytes)
+        .collect()
 }
 
 /// Bytes of an object's source.
@@ -81,8 +105,9 @@ const SOURCE_BYTES: usize = 16;
 /// Checks that the offsets of the nodes' sets ascend from 0 to the end of the section.
 pub fn check_offsets(section: Section, bytes: &[u8], nodes: u32) -> Result<(), PvsError> {
     let table = (u64::from(nodes) + 1) * 8;
-    let sets =
-        (bytes.len() as u64).checked_sub(table).ok_or_else(|| section.malformed("offsets are missing"))?;
+    let sets = (bytes.len() as u64)
+        .checked_sub(table)
+        .ok_or_else(|| section.malformed("offsets are missing"))?;
     let mut last = 0;
     for node in 0..=nodes as usize {
         let offset = u64_at(bytes, node * 8);
@@ -91,5 +116,9 @@ pub fn check_offsets(section: Section, bytes: &[u8], nodes: u32) -> Result<(), P
         }
         last = offset;
     }
-    if last == sets { Ok(()) } else { Err(section.malformed("its offsets do not end where it does")) }
+    if last == sets {
+        Ok(())
+    } else {
+        Err(section.malformed("its offsets do not end where it does"))
+    }
 }

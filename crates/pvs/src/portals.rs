@@ -58,19 +58,27 @@ pub struct Portals {
 impl Portals {
     /// All of space as one leaf with all triangles.
     pub fn undivided(triangles: u32) -> Self {
-        Self { size: 1.0, leaves: vec![(0..triangles).collect()], ..Self::default() }
+        Self {
+            size: 1.0,
+            leaves: vec![(0..triangles).collect()],
+            ..Self::default()
+        }
     }
 
     /// The section.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = Vec::new();
         let count = |out: &mut Vec<u8>, n: usize| out.extend((n as u32).to_le_bytes());
-        let floats = |out: &mut Vec<u8>, of: &[f64]| of.iter().for_each(|x| out.extend(x.to_le_bytes()));
+        let floats =
+            |out: &mut Vec<u8>, of: &[f64]| of.iter().for_each(|x| out.extend(x.to_le_bytes()));
         floats(&mut out, &[self.size]);
         count(&mut out, self.planes.len());
         self.planes.iter().for_each(|plane| floats(&mut out, plane));
         count(&mut out, self.nodes.len());
-        self.nodes.iter().flatten().for_each(|n| out.extend(n.to_le_bytes()));
+        self.nodes
+            .iter()
+            .flatten()
+            .for_each(|n| out.extend(n.to_le_bytes()));
         count(&mut out, self.doors.len());
         for name in &self.doors {
             count(&mut out, name.len());
@@ -78,13 +86,29 @@ impl Portals {
         }
         count(&mut out, self.leaves.len());
         count(&mut out, self.portals.len());
-        for Portal { leaves: [below, above], plane, door, corners } in &self.portals {
-            [*below, *above, *plane, *door].iter().for_each(|n| out.extend(n.to_le_bytes()));
+        for Portal {
+            leaves: [below, above],
+            plane,
+            door,
+            corners,
+        } in &self.portals
+        {
+            [*below, *above, *plane, *door]
+                .iter()
+                .for_each(|n| out.extend(n.to_le_bytes()));
             count(&mut out, corners.len());
         }
-        self.portals.iter().flat_map(|p| &p.corners).for_each(|corner| floats(&mut out, corner));
-        self.leaves.iter().for_each(|ids| count(&mut out, ids.len()));
-        self.leaves.iter().flatten().for_each(|id| out.extend(id.to_le_bytes()));
+        self.portals
+            .iter()
+            .flat_map(|p| &p.corners)
+            .for_each(|corner| floats(&mut out, corner));
+        self.leaves
+            .iter()
+            .for_each(|ids| count(&mut out, ids.len()));
+        self.leaves
+            .iter()
+            .flatten()
+            .for_each(|id| out.extend(id.to_le_bytes()));
         out
     }
 
@@ -97,7 +121,9 @@ impl Portals {
         let mut r = Reader { bytes };
         let size = r.float()?;
         let is_size = size.is_finite() && size > 0.0;
-        let planes = (0..r.count(32)?).map(|_| r.floats::<4>()).collect::<Result<Vec<_>, _>>()?;
+        let planes = (0..r.count(32)?)
+            .map(|_| r.floats::<4>())
+            .collect::<Result<Vec<_>, _>>()?;
         let is_unit = |p: &[f64; 4]| {
             let length = p[0] * p[0] + p[1] * p[1] + p[2] * p[2];
             (length - 1.0).abs() < 1e-6 && p[3].is_finite()
@@ -105,12 +131,14 @@ impl Portals {
         if !is_size || !planes.iter().all(is_unit) {
             return Err(bad("its size or a plane is not finite"));
         }
-        let nodes: Vec<[u32; 3]> =
-            (0..r.count(12)?).map(|_| r.numbers::<3>()).collect::<Result<Vec<_>, _>>()?;
+        let nodes: Vec<[u32; 3]> = (0..r.count(12)?)
+            .map(|_| r.numbers::<3>())
+            .collect::<Result<Vec<_>, _>>()?;
         let mut doors = Vec::new();
         for _ in 0..r.count(4)? {
             let length = r.number()? as usize;
-            let name = std::str::from_utf8(r.take(length)?).map_err(|_| bad("a door's name is no UTF-8"))?;
+            let name = std::str::from_utf8(r.take(length)?)
+                .map_err(|_| bad("a door's name is no UTF-8"))?;
             doors.push(name.to_owned());
         }
         if doors.windows(2).any(|w| w[0] >= w[1]) {
@@ -138,7 +166,9 @@ impl Portals {
                 leaf if leaf >= LEAF => nodes.len() + (leaf - LEAF) as usize,
                 node => node as usize,
             };
-            named.get_mut(place).is_some_and(|named| !std::mem::replace(named, true))
+            named
+                .get_mut(place)
+                .is_some_and(|named| !std::mem::replace(named, true))
         };
         if !nodes.iter().flat_map(|node| &node[1..]).all(is_new) {
             return Err(bad("a node or leaf has two parents"));
@@ -146,7 +176,9 @@ impl Portals {
         if leaf_count == 0 || leaf_count >= LEAF as usize || !nodes.iter().enumerate().all(fits) {
             return Err(bad("a node names a plane, node or leaf that there is not"));
         }
-        let heads = (0..r.count(20)?).map(|_| r.numbers::<5>()).collect::<Result<Vec<_>, _>>()?;
+        let heads = (0..r.count(20)?)
+            .map(|_| r.numbers::<5>())
+            .collect::<Result<Vec<_>, _>>()?;
         let mut portals = Vec::with_capacity(heads.len());
         for [below, above, plane, door, corners] in heads {
             let is_there = is_leaf(below)
@@ -155,27 +187,52 @@ impl Portals {
                 && (door == NONE || (door as usize) < doors.len())
                 && (3..=MOST_CORNERS).contains(&(corners as usize));
             if !is_there {
-                return Err(bad("a portal names a leaf, plane or door that there is not"));
+                return Err(bad(
+                    "a portal names a leaf, plane or door that there is not",
+                ));
             }
-            let corners = (0..corners).map(|_| r.floats::<3>()).collect::<Result<Vec<_>, _>>()?;
-            if corners.iter().flatten().any(|x| !x.is_finite() || x.abs() > 2.0 * size) {
+            let corners = (0..corners)
+                .map(|_| r.floats::<3>())
+                .collect::<Result<Vec<_>, _>>()?;
+            if corners
+                .iter()
+                .flatten()
+                .any(|x| !x.is_finite() || x.abs() > 2.0 * size)
+            {
                 return Err(bad("a corner is outside of the scene"));
             }
-            portals.push(Portal { leaves: [below, above], plane, door, corners });
+            portals.push(Portal {
+                leaves: [below, above],
+                plane,
+                door,
+                corners,
+            });
         }
-        let counts = (0..leaf_count).map(|_| r.number()).collect::<Result<Vec<_>, _>>()?;
+        let counts = (0..leaf_count)
+            .map(|_| r.number())
+            .collect::<Result<Vec<_>, _>>()?;
         let mut leaves = Vec::with_capacity(leaf_count);
         for count in counts {
             let bytes = r.take((count as usize).saturating_mul(4))?;
-            let ids: Vec<u32> =
-                bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
-            if ids.windows(2).any(|w| w[0] >= w[1]) || ids.last().is_some_and(|id| *id >= triangles) {
+            let ids: Vec<u32> = bytes
+                .chunks_exact(4)
+                .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                .collect();
+            if ids.windows(2).any(|w| w[0] >= w[1]) || ids.last().is_some_and(|id| *id >= triangles)
+            {
                 return Err(bad("the triangles of a leaf do not ascend, or reach N"));
             }
             leaves.push(ids);
         }
         if r.bytes.is_empty() {
-            Ok(Self { size, planes, nodes, doors, portals, leaves })
+            Ok(Self {
+                size,
+                planes,
+                nodes,
+                doors,
+                portals,
+                leaves,
+            })
         } else {
             Err(bad("bytes follow its end"))
         }
@@ -200,7 +257,9 @@ impl<'a> Reader<'a> {
 
     fn numbers<const N: usize>(&mut self) -> Result<[u32; N], PvsError> {
         let bytes = self.take(4 * N)?;
-        Ok(std::array::from_fn(|k| u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * k + i]))))
+        Ok(std::array::from_fn(|k| {
+            u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * k + i]))
+        }))
     }
 
     fn float(&mut self) -> Result<f64, PvsError> {
@@ -209,7 +268,9 @@ impl<'a> Reader<'a> {
 
     fn floats<const N: usize>(&mut self) -> Result<[f64; N], PvsError> {
         let bytes = self.take(8 * N)?;
-        Ok(std::array::from_fn(|k| f64::from_le_bytes(std::array::from_fn(|i| bytes[8 * k + i]))))
+        Ok(std::array::from_fn(|k| {
+            f64::from_le_bytes(std::array::from_fn(|i| bytes[8 * k + i]))
+        }))
     }
 
     /// A count of things of at least `least` bytes each.

@@ -44,7 +44,9 @@ pub const MAPPED_FROM: u64 = 256 << 20;
 fn read(file: File, length: u64) -> std::io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let room = usize::try_from(length).map_err(|_| std::io::ErrorKind::OutOfMemory)?;
-    bytes.try_reserve_exact(room).map_err(|_| std::io::ErrorKind::OutOfMemory)?;
+    bytes
+        .try_reserve_exact(room)
+        .map_err(|_| std::io::ErrorKind::OutOfMemory)?;
     file.take(length).read_to_end(&mut bytes)?;
     Ok(bytes)
 }
@@ -67,7 +69,9 @@ impl Bytes {
 
 impl std::fmt::Debug for Pvs {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Pvs").field("layout", &self.layout).finish_non_exhaustive()
+        f.debug_struct("Pvs")
+            .field("layout", &self.layout)
+            .finish_non_exhaustive()
     }
 }
 
@@ -88,7 +92,10 @@ impl Pvs {
 
     /// [`Self::open`] with another size from which files are mapped.
     fn open_mapping_from(path: &Path, mapped_from: u64) -> Result<Self, PvsError> {
-        let failed = |source| PvsError::Open { path: path.to_owned(), source };
+        let failed = |source| PvsError::Open {
+            path: path.to_owned(),
+            source,
+        };
         let file = File::open(path).map_err(failed)?;
         let metadata = file.metadata().map_err(failed)?;
         if metadata.is_dir() {
@@ -124,7 +131,9 @@ impl Pvs {
         }
         let tree = read_tree(part(Section::Tree), layout.nodes)?;
         if tree.cells() != layout.cells {
-            return Err(Section::Tree.malformed("it does not have as many cells as the header says"));
+            return Err(
+                Section::Tree.malformed("it does not have as many cells as the header says")
+            );
         }
         let mut objects = read_objects(part(Section::Objects))?;
         check_tiling(layout.triangles, objects.iter().map(|o| (o.first, o.count)))?;
@@ -143,7 +152,11 @@ impl Pvs {
             check_offsets(Section::Undecided, part(Section::Undecided), layout.nodes)?;
         }
         if layout.has(Section::Certificates) {
-            check_offsets(Section::Certificates, part(Section::Certificates), layout.cells)?;
+            check_offsets(
+                Section::Certificates,
+                part(Section::Certificates),
+                layout.cells,
+            )?;
         }
         // The section is empty only where certificates follow.
         if layout.has(Section::Columns)
@@ -152,15 +165,29 @@ impl Pvs {
             columns::check(part(Section::Columns), layout.cells)?;
         }
         if layout.has(Section::Contributions) {
-            check_offsets(Section::Contributions, part(Section::Contributions), layout.cells)?;
+            check_offsets(
+                Section::Contributions,
+                part(Section::Contributions),
+                layout.cells,
+            )?;
         }
-        Ok(Self { layout, tree, objects, items, bytes, pairs: OnceLock::new(), portals: OnceLock::new() })
+        Ok(Self {
+            layout,
+            tree,
+            objects,
+            items,
+            bytes,
+            pairs: OnceLock::new(),
+            portals: OnceLock::new(),
+        })
     }
 
     /// The region that holds all viewpoints, in bytes that this crate does not read; `None` when viewpoints
     /// are not restricted to one.
     pub fn region(&self) -> Option<&[u8]> {
-        self.layout.has(Section::Region).then(|| self.part(Section::Region))
+        self.layout
+            .has(Section::Region)
+            .then(|| self.part(Section::Region))
     }
 
     /// The scene divided along its walls; `None` in a result that does not say.
@@ -170,8 +197,8 @@ impl Pvs {
     pub fn portals(&self) -> Result<Option<&Portals>, PvsError> {
         if self.portals.get().is_none() {
             let is_there = self.layout.has(Section::Portals);
-            let decoded =
-                is_there.then(|| Portals::decode(self.part(Section::Portals), self.layout.triangles));
+            let decoded = is_there
+                .then(|| Portals::decode(self.part(Section::Portals), self.layout.triangles));
             // Another thread may have been first, with the same.
             let _ = self.portals.set(decoded.transpose()?);
         }
@@ -191,12 +218,22 @@ impl Pvs {
     /// the optional ones that are here.
     pub fn with_sections(&self, wanted: &[Section]) -> Vec<u8> {
         let is_kept = |section: &Section| {
-            (*section as usize) < LEAST_SECTIONS || wanted.contains(section) && self.layout.has(*section)
+            (*section as usize) < LEAST_SECTIONS
+                || wanted.contains(section) && self.layout.has(*section)
         };
         let kept: Vec<Section> = Section::ALL.into_iter().filter(is_kept).collect();
-        let written: Vec<Written> = kept.iter().map(|s| Written::of(*s, self.part(*s))).collect();
-        let mut out = header(self.layout.triangles, self.layout.cells, self.layout.nodes, &written);
-        kept.iter().for_each(|section| out.extend(self.part(*section)));
+        let written: Vec<Written> = kept
+            .iter()
+            .map(|s| Written::of(*s, self.part(*s)))
+            .collect();
+        let mut out = header(
+            self.layout.triangles,
+            self.layout.cells,
+            self.layout.nodes,
+            &written,
+        );
+        kept.iter()
+            .for_each(|section| out.extend(self.part(*section)));
         out
     }
 
@@ -302,11 +339,16 @@ impl Pvs {
         if !self.has_contributions() {
             return Ok(None);
         }
-        let bytes = contributions::of_cell(self.part(Section::Contributions), cell, self.layout.cells)?;
+        let bytes =
+            contributions::of_cell(self.part(Section::Contributions), cell, self.layout.cells)?;
         if self.visible_item_count(cell)? != bytes.len() {
-            return Err(Section::Contributions.malformed("a cell has more or fewer than visible items"));
+            return Err(
+                Section::Contributions.malformed("a cell has more or fewer than visible items")
+            );
         }
-        Ok(Some(bytes.iter().map(|b| Contribution::from_byte(*b)).collect()))
+        Ok(Some(
+            bytes.iter().map(|b| Contribution::from_byte(*b)).collect(),
+        ))
     }
 
     /// The statistics of the bake, one value for each cell, in the order they were given to the builder;
@@ -334,12 +376,20 @@ impl Pvs {
         let section = self.part(Section::Certificates);
         let head = (self.layout.cells as usize + 1) * 8;
         let [from, to] = [0, 1].map(|k| u64_at(section, (cell as usize + k) * 8) as usize);
-        let bytes = head.checked_add(from).zip(head.checked_add(to)).and_then(|(a, b)| section.get(a..b));
-        bytes.map(Some).ok_or_else(|| Section::Certificates.malformed("a cell's part is beyond its end"))
+        let bytes = head
+            .checked_add(from)
+            .zip(head.checked_add(to))
+            .and_then(|(a, b)| section.get(a..b));
+        bytes
+            .map(Some)
+            .ok_or_else(|| Section::Certificates.malformed("a cell's part is beyond its end"))
     }
 
     fn leaf(&self, cell: u32) -> Result<u32, PvsError> {
-        self.tree.leaf(cell).ok_or(PvsError::NoCell { cell, cells: self.layout.cells })
+        self.tree.leaf(cell).ok_or(PvsError::NoCell {
+            cell,
+            cells: self.layout.cells,
+        })
     }
 }
 
@@ -351,9 +401,20 @@ mod tests {
     #[test]
     fn mapped_file_gives_same_sets_as_read_file() {
         let tree = CellTree::new([[0.0; 3], [1.0; 3]], vec![Node::Leaf]).unwrap();
-        let object = Object { name: "all".into(), first: 0, count: 9, source: None };
+        let object = Object {
+            name: "all".into(),
+            first: 0,
+            count: 9,
+            source: None,
+        };
         let (method, info_json) = ("aggressive".into(), "{}".into());
-        let header = Header { triangles: 9, method, tree, objects: vec![object], info_json };
+        let header = Header {
+            triangles: 9,
+            method,
+            tree,
+            objects: vec![object],
+            info_json,
+        };
         let mut builder = Builder::new(header).unwrap();
         builder.push_cell(&[1, 2, 8], &[], 0).unwrap();
         let mut file = Vec::new();
@@ -361,7 +422,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.pvs");
         std::fs::write(&path, &file).unwrap();
-        for (mapped_from, is_mapped) in [(file.len() as u64, true), (file.len() as u64 + 1, false)] {
+        for (mapped_from, is_mapped) in [(file.len() as u64, true), (file.len() as u64 + 1, false)]
+        {
             let pvs = Pvs::open_mapping_from(&path, mapped_from).unwrap();
             assert_eq!(matches!(pvs.bytes, Bytes::Mapped(_)), is_mapped);
             assert_eq!(pvs.bytes(), file);

@@ -20,7 +20,10 @@ pub fn from_ids(ids: &[u32]) -> Vec<u32> {
 /// Boolean combinations of up to 32 sets in one sweep over their boundaries. Between two boundaries all ids
 /// are in the same inputs: bit i of the argument of `f` is set when they are in input i, and bit o of its
 /// result puts them into output o. `f(0)` must be 0.
-pub fn sweep<const I: usize, const O: usize>(inputs: [&[u32]; I], f: impl Fn(u32) -> u32) -> [Vec<u32>; O] {
+pub fn sweep<const I: usize, const O: usize>(
+    inputs: [&[u32]; I],
+    f: impl Fn(u32) -> u32,
+) -> [Vec<u32>; O] {
     let mut outputs = [const { Vec::new() }; O];
     let mut next = [0usize; I];
     // The next boundary of each input; at the end of an input, a value above all boundaries.
@@ -68,7 +71,9 @@ mod tests {
 
     #[test]
     fn the_largest_boundary_is_kept() {
-        let [both] = sweep([&[1, u32::MAX], &[5, 9, 20, u32::MAX]], |m| u32::from(m == 3));
+        let [both] = sweep([&[1, u32::MAX], &[5, 9, 20, u32::MAX]], |m| {
+            u32::from(m == 3)
+        });
         assert_eq!(both, [5, 9, 20, u32::MAX]);
     }
 

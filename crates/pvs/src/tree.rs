@@ -53,7 +53,10 @@ impl CellTree {
     /// node's box, an axis is above 2, nodes are missing or left over, or the tree is deeper than
     /// [`MAX_DEPTH`]; [`PvsError::TooLarge`] for more than 2³¹ − 1 nodes.
     pub fn new(view_box: [[f32; 3]; 2], nodes: Vec<Node>) -> Result<Self, PvsError> {
-        let bad = |node: usize, reason: &str| PvsError::Tree { node, reason: reason.to_owned() };
+        let bad = |node: usize, reason: &str| PvsError::Tree {
+            node,
+            reason: reason.to_owned(),
+        };
         let [lo, hi] = view_box;
         if !(0..3).all(|a| lo[a].is_finite() && hi[a].is_finite() && lo[a] <= hi[a]) {
             return Err(bad(0, "the view box must be finite with min ≤ max"));
@@ -80,7 +83,12 @@ impl CellTree {
             match *node {
                 Node::Leaf => {
                     let cell = leaves.len() as u32;
-                    links.push(Links { parent, upper_or_cell: cell, first: cell, end: cell + 1 });
+                    links.push(Links {
+                        parent,
+                        upper_or_cell: cell,
+                        first: cell,
+                        end: cell + 1,
+                    });
                     leaves.push(i as u32);
                 }
                 Node::Split { axis, at } => {
@@ -94,7 +102,12 @@ impl CellTree {
                     if depth >= MAX_DEPTH {
                         return Err(bad(i, "the tree is too deep"));
                     }
-                    links.push(Links { parent, upper_or_cell: 0, first: leaves.len() as u32, end: 0 });
+                    links.push(Links {
+                        parent,
+                        upper_or_cell: 0,
+                        first: leaves.len() as u32,
+                        end: 0,
+                    });
                     let (mut lower, mut upper) = (bounds, bounds);
                     lower[1][a] = at;
                     upper[0][a] = at;
@@ -112,7 +125,12 @@ impl CellTree {
                 links[i].end = links[links[i].upper_or_cell as usize].end;
             }
         }
-        Ok(Self { view_box, nodes, links, leaves })
+        Ok(Self {
+            view_box,
+            nodes,
+            links,
+            leaves,
+        })
     }
 
     /// The view box: min, max.
@@ -166,7 +184,11 @@ impl CellTree {
         let mut node = 0usize;
         while let Node::Split { axis, at } = self.nodes[node] {
             let below = point[usize::from(axis)] < f64::from(at);
-            node = if below { node + 1 } else { self.links[node].upper_or_cell as usize };
+            node = if below {
+                node + 1
+            } else {
+                self.links[node].upper_or_cell as usize
+            };
         }
         Some(self.links[node].upper_or_cell)
     }
@@ -191,7 +213,10 @@ impl CellTree {
 
     /// The first cell below a node, and the one after the last.
     pub(crate) fn cells_below(&self, node: u32) -> [u32; 2] {
-        [self.links[node as usize].first, self.links[node as usize].end]
+        [
+            self.links[node as usize].first,
+            self.links[node as usize].end,
+        ]
     }
 
     /// The nodes from `node` up to the root, both included.
@@ -209,8 +234,15 @@ mod tests {
     fn tree() -> CellTree {
         let split = |axis, at| Node::Split { axis, at };
         // x<1 | x≥1: (y<1: (x<3 | x≥3) | y≥1)
-        let nodes =
-            vec![split(0, 1.0), Node::Leaf, split(1, 1.0), split(0, 3.0), Node::Leaf, Node::Leaf, Node::Leaf];
+        let nodes = vec![
+            split(0, 1.0),
+            Node::Leaf,
+            split(1, 1.0),
+            split(0, 3.0),
+            Node::Leaf,
+            Node::Leaf,
+            Node::Leaf,
+        ];
         CellTree::new(BOX, nodes).unwrap()
     }
 
@@ -234,7 +266,12 @@ mod tests {
         assert_eq!(t.find_cell([2.0, 1.0, 0.5]), Some(3));
         assert_eq!(t.find_cell([4.0, 2.0, 1.0]), Some(3));
         assert_eq!(t.find_cell([0.0, 0.0, 0.0]), Some(0));
-        for outside in [[4.1, 0.5, 0.5], [-0.1, 0.5, 0.5], [f32::NAN, 0.5, 0.5], [1.0, f32::INFINITY, 0.0]] {
+        for outside in [
+            [4.1, 0.5, 0.5],
+            [-0.1, 0.5, 0.5],
+            [f32::NAN, 0.5, 0.5],
+            [1.0, f32::INFINITY, 0.0],
+        ] {
             assert_eq!(t.find_cell(outside), None);
         }
     }
@@ -248,17 +285,41 @@ mod tests {
         assert!(why(vec![Node::Leaf, Node::Leaf]).contains("complete"));
         assert!(why(vec![split(4.0), Node::Leaf, Node::Leaf]).contains("strictly inside"));
         assert!(why(vec![split(f32::NAN), Node::Leaf, Node::Leaf]).contains("strictly inside"));
-        assert!(why(vec![Node::Split { axis: 3, at: 1.0 }, Node::Leaf, Node::Leaf]).contains("axis"));
+        assert!(
+            why(vec![
+                Node::Split { axis: 3, at: 1.0 },
+                Node::Leaf,
+                Node::Leaf
+            ])
+            .contains("axis")
+        );
         assert!(CellTree::new([[f32::NAN; 3], [1.0; 3]], vec![Node::Leaf]).is_err());
         assert!(CellTree::new([[1.0; 3], [0.0; 3]], vec![Node::Leaf]).is_err());
-        assert!(CellTree::new([[1.0; 3], [1.0; 3]], vec![Node::Leaf]).is_ok(), "a flat box is a box");
+        assert!(
+            CellTree::new([[1.0; 3], [1.0; 3]], vec![Node::Leaf]).is_ok(),
+            "a flat box is a box"
+        );
         // Two degenerate trees deeper than allowed, one to each side.
         let box_x = [[0.0; 3], [1.0; 3]];
-        let lower: Vec<Node> =
-            (1..100).map(|i| split(0.5f32.powi(i))).chain(std::iter::repeat_n(Node::Leaf, 100)).collect();
-        assert!(CellTree::new(box_x, lower).unwrap_err().to_string().contains("too deep"));
-        let upper: Vec<Node> =
-            (1..100).flat_map(|i| [split(i as f32 / 128.0), Node::Leaf]).chain([Node::Leaf]).collect();
-        assert!(CellTree::new(box_x, upper).unwrap_err().to_string().contains("too deep"));
+        let lower: Vec<Node> = (1..100)
+            .map(|i| split(0.5f32.powi(i)))
+            .chain(std::iter::repeat_n(Node::Leaf, 100))
+            .collect();
+        assert!(
+            CellTree::new(box_x, lower)
+                .unwrap_err()
+                .to_string()
+                .contains("too deep")
+        );
+        let upper: Vec<Node> = (1..100)
+            .flat_map(|i| [split(i as f32 / 128.0), Node::Leaf])
+            .chain([Node::Leaf])
+            .collect();
+        assert!(
+            CellTree::new(box_x, upper)
+                .unwrap_err()
+                .to_string()
+                .contains("too deep")
+        );
     }
 }

@@ -13,8 +13,14 @@ fn small_file() -> Vec<u8> {
 /// The same file without columns, with two, with columns and certificates for some cells, and with
 /// certificates alone.
 fn small_files() -> [Vec<u8>; 4] {
-    let column = |name: &str, values: [u64; 3]| Column { name: name.into(), values: values.to_vec() };
-    let columns = vec![column("rays_uniform", [90, 70_000, u64::MAX]), column("bound_lines", [0, 0, 7])];
+    let column = |name: &str, values: [u64; 3]| Column {
+        name: name.into(),
+        values: values.to_vec(),
+    };
+    let columns = vec![
+        column("rays_uniform", [90, 70_000, u64::MAX]),
+        column("bound_lines", [0, 0, 7]),
+    ];
     [
         small_file(),
         file_with(columns.clone(), &[]),
@@ -33,18 +39,37 @@ fn file_with(columns: Vec<Column>, certificates: &[&[u8]]) -> Vec<u8> {
     ];
     let tree = CellTree::new([[0.0; 3], [1.0; 3]], nodes).unwrap();
     let objects = vec![
-        Object { name: "wall".into(), first: 0, count: 60, source: None },
-        Object { name: "tree".into(), first: 60, count: 40, source: None },
+        Object {
+            name: "wall".into(),
+            first: 0,
+            count: 60,
+            source: None,
+        },
+        Object {
+            name: "tree".into(),
+            first: 60,
+            count: 40,
+            source: None,
+        },
     ];
     let info_json = r#"{"resolution":256}"#.into();
-    let mut builder =
-        Builder::new(Header { triangles: 100, method: "aggressive".into(), tree, objects, info_json })
-            .unwrap();
+    let mut builder = Builder::new(Header {
+        triangles: 100,
+        method: "aggressive".into(),
+        tree,
+        objects,
+        info_json,
+    })
+    .unwrap();
     builder.push_cell(&[1, 2, 3, 50, 99], &[3], 0).unwrap();
     builder.push_cell(&[1, 2, 3, 51, 98], &[], 4).unwrap();
-    builder.push_cell(&(0..100).collect::<Vec<_>>(), &[], 1).unwrap();
+    builder
+        .push_cell(&(0..100).collect::<Vec<_>>(), &[], 1)
+        .unwrap();
     builder.set_columns(columns).unwrap();
-    certificates.iter().for_each(|c| builder.push_certificate(c).unwrap());
+    certificates
+        .iter()
+        .for_each(|c| builder.push_certificate(c).unwrap());
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     file
@@ -58,7 +83,10 @@ fn certificates_come_back_and_cells_without_one_have_none() {
     }
     let some = Pvs::from_bytes(some).unwrap();
     let of = |pvs: &Pvs, cell| pvs.certificate(cell).unwrap().unwrap().to_vec();
-    assert_eq!([of(&some, 0), of(&some, 1), of(&some, 2)], [b"seen along this".to_vec(), vec![], vec![]]);
+    assert_eq!(
+        [of(&some, 0), of(&some, 1), of(&some, 2)],
+        [b"seen along this".to_vec(), vec![], vec![]]
+    );
     assert_eq!(some.columns().unwrap().len(), 2);
     let all = Pvs::from_bytes(all).unwrap();
     assert_eq!(
@@ -92,11 +120,18 @@ fn every_altered_byte_is_noticed() {
 fn every_truncation_is_noticed() {
     for file in small_files() {
         for keep in 0..file.len() {
-            assert!(Pvs::from_bytes(&file[..keep]).is_err(), "{keep} of {} bytes", file.len());
+            assert!(
+                Pvs::from_bytes(&file[..keep]).is_err(),
+                "{keep} of {} bytes",
+                file.len()
+            );
         }
         let mut longer = file.clone();
         longer.push(0);
-        assert!(matches!(Pvs::from_bytes(longer), Err(PvsError::Length { .. })));
+        assert!(matches!(
+            Pvs::from_bytes(longer),
+            Err(PvsError::Length { .. })
+        ));
     }
 }
 
@@ -107,15 +142,33 @@ fn an_altered_number_of_sections_is_named() {
             let mut altered = file.clone();
             altered[12] = sections;
             let error = Pvs::from_bytes(altered.clone()).unwrap_err();
-            assert!(matches!(error, PvsError::Checksum { section: "header" }), "{sections}: {error}");
+            assert!(
+                matches!(error, PvsError::Checksum { section: "header" }),
+                "{sections}: {error}"
+            );
             seal(&mut altered);
             let error = Pvs::from_bytes(altered).unwrap_err();
-            assert!(matches!(error, PvsError::Malformed { section: "header", .. }), "{sections}: {error}");
+            assert!(
+                matches!(
+                    error,
+                    PvsError::Malformed {
+                        section: "header",
+                        ..
+                    }
+                ),
+                "{sections}: {error}"
+            );
         }
     }
     // A table that reaches beyond the end of the file.
     let [_, file, ..] = small_files();
-    assert!(matches!(Pvs::from_bytes(&file[..220]), Err(PvsError::Length { expected: 232, actual: 220 })));
+    assert!(matches!(
+        Pvs::from_bytes(&file[..220]),
+        Err(PvsError::Length {
+            expected: 232,
+            actual: 220
+        })
+    ));
 }
 
 /// A section of columns that is empty would be a second form of a file without.
@@ -132,17 +185,32 @@ fn an_empty_section_of_columns_is_refused() {
         file[224..232].copy_from_slice(&(columns.len() as u64).to_le_bytes());
         seal(&mut file);
         let error = Pvs::from_bytes(file).unwrap_err();
-        assert!(matches!(error, PvsError::Malformed { section: "columns", .. }), "{error}");
+        assert!(
+            matches!(
+                error,
+                PvsError::Malformed {
+                    section: "columns",
+                    ..
+                }
+            ),
+            "{error}"
+        );
     }
 }
 
 #[test]
 fn other_files_and_versions_are_named() {
-    assert!(matches!(Pvs::from_bytes(&b"solid cube"[..]), Err(PvsError::NotPvs)));
+    assert!(matches!(
+        Pvs::from_bytes(&b"solid cube"[..]),
+        Err(PvsError::NotPvs)
+    ));
     assert!(matches!(Pvs::from_bytes(&b""[..]), Err(PvsError::NotPvs)));
     let mut newer = small_file();
     newer[8] = 3;
-    assert!(matches!(Pvs::from_bytes(newer), Err(PvsError::Version { found: 3, known: 2 })));
+    assert!(matches!(
+        Pvs::from_bytes(newer),
+        Err(PvsError::Version { found: 3, known: 2 })
+    ));
 }
 
 /// Writes the right checksums over whatever the file now holds.
@@ -155,18 +223,24 @@ fn seal(file: &mut [u8]) {
     for entry in (40..table_end).step_by(24) {
         let number = |at: usize| u64::from_le_bytes(file[at..at + 8].try_into().unwrap());
         let (start, length) = (number(entry + 8) as usize, number(entry + 16) as usize);
-        if let Some(section) = start.checked_add(length).and_then(|end| file.get(start..end)) {
+        if let Some(section) = start
+            .checked_add(length)
+            .and_then(|end| file.get(start..end))
+        {
             let crc = crc32c::crc32c(section).to_le_bytes();
             file[entry + 4..entry + 8].copy_from_slice(&crc);
         }
     }
-    let crc = crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..table_end]).to_le_bytes();
+    let crc =
+        crc32c::crc32c_append(crc32c::crc32c(&file[..36]), &file[40..table_end]).to_le_bytes();
     file[36..40].copy_from_slice(&crc);
 }
 
 /// Opens and reads everything; what matters is that it returns, with ascending ids below N where it succeeds.
 fn read_all(file: Vec<u8>) -> bool {
-    let Ok(pvs) = Pvs::from_bytes(file) else { return false };
+    let Ok(pvs) = Pvs::from_bytes(file) else {
+        return false;
+    };
     let mut ids = Vec::new();
     // Opening has checked all there is to them.
     for column in pvs.columns().unwrap() {
@@ -204,7 +278,11 @@ fn deceiving_files_do_not_panic() {
                 refused += u32::from(!read_all(altered));
             }
         }
-        assert!(refused > 600, "{refused} of {} were refused", (file.len() - 8) * 6);
+        assert!(
+            refused > 600,
+            "{refused} of {} were refused",
+            (file.len() - 8) * 6
+        );
     }
 }
 

@@ -4,8 +4,8 @@
 use sightline_pvs::fuzzing::pvs;
 use sightline_pvs::portals::{LEAF, NONE};
 use sightline_pvs::{
-    Builder, CellPairs, CellTree, Column, Contribution, Header, Items, Node, Object, Portal, Portals,
-    Relation, Source,
+    Builder, CellPairs, CellTree, Column, Contribution, Header, Items, Node, Object, Portal,
+    Portals, Relation, Source,
 };
 
 /// Mutations of each valid file.
@@ -17,7 +17,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -35,7 +36,11 @@ fn mutate(r: &mut Random, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
             break;
         }
         // Half of the mutations are in the header and the table of sections.
-        let most = if r.below(2) == 0 { bytes.len() } else { bytes.len().min(400) };
+        let most = if r.below(2) == 0 {
+            bytes.len()
+        } else {
+            bytes.len().min(400)
+        };
         let at = r.below(most);
         match r.below(7) {
             0 => bytes[at] ^= 1 << r.below(8),
@@ -52,9 +57,20 @@ fn mutate(r: &mut Random, mut bytes: Vec<u8>, other: &[u8]) -> Vec<u8> {
             }
             5 => {
                 // A number that is too large, negative, or no number.
-                let v =
-                    [0u32, 1, 9999, 0x7fff_ffff, 0x8000_0000, u32::MAX, 0x7f80_0000, 0x7fc0_0000][r.below(8)];
-                bytes[at..].iter_mut().zip(v.to_le_bytes()).for_each(|(b, v)| *b = v);
+                let v = [
+                    0u32,
+                    1,
+                    9999,
+                    0x7fff_ffff,
+                    0x8000_0000,
+                    u32::MAX,
+                    0x7f80_0000,
+                    0x7fc0_0000,
+                ][r.below(8)];
+                bytes[at..]
+                    .iter_mut()
+                    .zip(v.to_le_bytes())
+                    .for_each(|(b, v)| *b = v);
             }
             _ => bytes[at] = bytes[at].wrapping_add(1),
         }
@@ -72,13 +88,38 @@ fn header(triangles: u32, levels: usize) -> Header {
     let mut nodes = vec![Node::Leaf];
     for level in 0..levels {
         let at = 0.5 / (level + 1) as f32;
-        nodes.splice(0..0, [Node::Split { axis: (level % 3) as u8, at }, Node::Leaf]);
+        nodes.splice(
+            0..0,
+            [
+                Node::Split {
+                    axis: (level % 3) as u8,
+                    at,
+                },
+                Node::Leaf,
+            ],
+        );
     }
     let tree = CellTree::new([[0.0; 3], [1.0; 3]], nodes).unwrap();
-    let source = Some(Source { node: 1, mesh: 2, primitive: 0, instance: Some(3) });
-    let object = |name: &str, first, count| Object { name: name.into(), first, count, source };
+    let source = Some(Source {
+        node: 1,
+        mesh: 2,
+        primitive: 0,
+        instance: Some(3),
+    });
+    let object = |name: &str, first, count| Object {
+        name: name.into(),
+        first,
+        count,
+        source,
+    };
     let objects = vec![object("wall", 0, 4), object("tree", 4, triangles - 4)];
-    Header { triangles, method: "aggressive".into(), tree, objects, info_json: "{}".into() }
+    Header {
+        triangles,
+        method: "aggressive".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    }
 }
 
 /// Creates a file with every optional section but portals, for each kind of items.
@@ -87,16 +128,34 @@ fn full(items: Option<&Items>) -> Vec<u8> {
     if let Some(items) = items {
         builder.set_items(items).unwrap();
     }
-    builder.set_columns(vec![Column { name: "rays".into(), values: vec![90, 70_000, u64::MAX] }]).unwrap();
+    builder
+        .set_columns(vec![Column {
+            name: "rays".into(),
+            values: vec![90, 70_000, u64::MAX],
+        }])
+        .unwrap();
     let contribution = |n: usize| vec![Contribution::new(0.25, 0.5); n];
     for visible in [&[0, 1][..], &[1], &[]] {
-        builder.push_cell(visible, &visible[..visible.len() / 2], u32::from(visible.is_empty())).unwrap();
+        builder
+            .push_cell(
+                visible,
+                &visible[..visible.len() / 2],
+                u32::from(visible.is_empty()),
+            )
+            .unwrap();
         builder.push_certificate(b"hidden by that").unwrap();
-        builder.push_contributions(&contribution(visible.len())).unwrap();
+        builder
+            .push_contributions(&contribution(visible.len()))
+            .unwrap();
     }
     let mut visible = Relation::empty(3).unwrap();
     (0..3).for_each(|cell| visible.insert(cell, cell));
-    builder.set_pairs(&CellPairs { visible, undecided: Some(Relation::empty(3).unwrap()) }).unwrap();
+    builder
+        .set_pairs(&CellPairs {
+            visible,
+            undecided: Some(Relation::empty(3).unwrap()),
+        })
+        .unwrap();
     builder.set_region(vec![1, 2, 3]);
     finished(builder)
 }
@@ -113,7 +172,9 @@ fn divided() -> Vec<u8> {
     };
     let portals = Portals {
         size: 1.0,
-        planes: (1..4).map(|x| [1.0, 0.0, 0.0, f64::from(x) / 4.0]).collect(),
+        planes: (1..4)
+            .map(|x| [1.0, 0.0, 0.0, f64::from(x) / 4.0])
+            .collect(),
         nodes: vec![[1, 1, 2], [0, LEAF, LEAF + 1], [2, LEAF + 2, LEAF + 3]],
         doors: vec!["front".into()],
         portals: vec![opening(1, NONE), opening(2, 0), opening(3, NONE)],
@@ -121,14 +182,19 @@ fn divided() -> Vec<u8> {
     };
     let mut builder = Builder::new(header(8, 0)).unwrap();
     builder.set_portals(portals.encode()).unwrap();
-    builder.push_cell(&[0, 1, 2, 3, 4, 5, 6, 7], &[], 0).unwrap();
+    builder
+        .push_cell(&[0, 1, 2, 3, 4, 5, 6, 7], &[], 0)
+        .unwrap();
     finished(builder)
 }
 
 #[test]
 fn inputs_that_once_crashed_do_not() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
-    let mut paths: Vec<_> = std::fs::read_dir(crashes).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut paths: Vec<_> = std::fs::read_dir(crashes)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     paths.sort();
     assert!(!paths.is_empty(), "the folder has a README at least");
     for path in paths {
@@ -139,8 +205,12 @@ fn inputs_that_once_crashed_do_not() {
 #[test]
 fn mutated_results_do_not_crash() {
     let clusters = Items::Clusters(vec![vec![0, 3], vec![1], vec![4, 5, 9]]);
-    let seeds =
-        [full(None), full(Some(&clusters)), full(Some(&Items::Objects { never: vec![1, 9] })), divided()];
+    let seeds = [
+        full(None),
+        full(Some(&clusters)),
+        full(Some(&Items::Objects { never: vec![1, 9] })),
+        divided(),
+    ];
     for (s, seed) in seeds.iter().enumerate() {
         assert!(pvs(seed), "seed {s} must be valid");
     }
@@ -154,5 +224,8 @@ fn mutated_results_do_not_crash() {
         opened += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
     }
     // Mutations that are all rejected, or all opened, would reach little of the code.
-    assert!((rounds / 50..rounds - rounds / 50).contains(&opened), "{opened} of {rounds} were opened");
+    assert!(
+        (rounds / 50..rounds - rounds / 50).contains(&opened),
+        "{opened} of {rounds} were opened"
+    );
 }

@@ -1,7 +1,12 @@
 //! Look-ups through portals: doors, views that cannot be used, damaged sections, and that nothing is
 //! allocated.
 
-#![allow(clippy::unwrap_used, clippy::panic, unsafe_code, reason = "a test, with an allocator that counts")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    unsafe_code,
+    reason = "a test, with an allocator that counts"
+)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -9,7 +14,8 @@ use std::cell::Cell;
 use proptest::prelude::*;
 use sightline_pvs::portals::{LEAF, NONE};
 use sightline_pvs::{
-    Builder, CellTree, Header, LookError, Looker, Node, Object, Portal, Portals, Pvs, View, ViewError,
+    Builder, CellTree, Header, LookError, Looker, Node, Object, Portal, Portals, Pvs, View,
+    ViewError,
 };
 
 struct Counting;
@@ -41,7 +47,9 @@ fn portals() -> Portals {
         leaves: [x - 1, x],
         plane: x - 1,
         door,
-        corners: [[0.0, 0.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]].map(|[y, z]| [f64::from(x), y, z]).to_vec(),
+        corners: [[0.0, 0.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]]
+            .map(|[y, z]| [f64::from(x), y, z])
+            .to_vec(),
     };
     Portals {
         size: 4.0,
@@ -55,8 +63,19 @@ fn portals() -> Portals {
 
 fn result(portals: &Portals) -> Pvs {
     let tree = CellTree::new([[0.0; 3], [4.0, 1.0, 1.0]], vec![Node::Leaf]).unwrap();
-    let objects = vec![Object { name: "all".into(), first: 0, count: 4, source: None }];
-    let header = Header { triangles: 4, method: "portals".into(), tree, objects, info_json: "{}".into() };
+    let objects = vec![Object {
+        name: "all".into(),
+        first: 0,
+        count: 4,
+        source: None,
+    }];
+    let header = Header {
+        triangles: 4,
+        method: "portals".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    };
     let mut builder = Builder::new(header).unwrap();
     builder.set_portals(portals.encode()).unwrap();
     builder.push_cell(&[0, 1, 2, 3], &[], 0).unwrap();
@@ -66,7 +85,12 @@ fn result(portals: &Portals) -> Pvs {
 }
 
 fn view(eye: [f64; 3], direction: [f64; 3]) -> View {
-    View { eye, direction, up: [0.0, 0.0, 1.0], fov: [90.0, 60.0] }
+    View {
+        eye,
+        direction,
+        up: [0.0, 0.0, 1.0],
+        fov: [90.0, 60.0],
+    }
 }
 
 #[test]
@@ -94,7 +118,13 @@ fn doors_and_views_decide_what_is_seen() {
     assert_eq!(bad(view([f64::NAN; 3], ahead)), ViewError::Eye);
     assert_eq!(bad(view(eye, [0.0; 3])), ViewError::Directions);
     assert_eq!(bad(view(eye, [0.0, 0.0, -3.0])), ViewError::Directions);
-    assert_eq!(bad(View { fov: [180.0, 60.0], ..view(eye, ahead) }), ViewError::Angles);
+    assert_eq!(
+        bad(View {
+            fov: [180.0, 60.0],
+            ..view(eye, ahead)
+        }),
+        ViewError::Angles
+    );
 }
 
 #[test]
@@ -106,7 +136,9 @@ fn a_look_allocates_nothing() {
     let before = COUNT.with(Cell::get);
     for k in 0..100 {
         looker.shut(0, k % 2 == 0);
-        looker.look(&view([0.03 * f64::from(k), 0.25, 0.25], [1.0, 0.3, 0.1])).unwrap();
+        looker
+            .look(&view([0.03 * f64::from(k), 0.25, 0.25], [1.0, 0.3, 0.1]))
+            .unwrap();
     }
     assert_eq!(COUNT.with(Cell::get), before);
 }
@@ -114,13 +146,28 @@ fn a_look_allocates_nothing() {
 #[test]
 fn a_result_without_portals_has_no_looker() {
     let tree = CellTree::new([[0.0; 3], [4.0, 1.0, 1.0]], vec![Node::Leaf]).unwrap();
-    let objects = vec![Object { name: "all".into(), first: 0, count: 4, source: None }];
-    let header = Header { triangles: 4, method: "exact".into(), tree, objects, info_json: "{}".into() };
+    let objects = vec![Object {
+        name: "all".into(),
+        first: 0,
+        count: 4,
+        source: None,
+    }];
+    let header = Header {
+        triangles: 4,
+        method: "exact".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    };
     let mut builder = Builder::new(header).unwrap();
     builder.push_cell(&[0, 1, 2, 3], &[], 0).unwrap();
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
-    assert!(Looker::new(&Pvs::from_bytes(file).unwrap()).unwrap().is_none());
+    assert!(
+        Looker::new(&Pvs::from_bytes(file).unwrap())
+            .unwrap()
+            .is_none()
+    );
 }
 
 proptest! {

@@ -46,9 +46,20 @@ const SOME: usize = 64 << 10;
 
 fn header() -> Header {
     let tree = CellTree::new([[0.0; 3], [1.0; 3]], vec![Node::Leaf]).unwrap();
-    let object = Object { name: "all".into(), first: 0, count: TRIANGLES, source: None };
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count: TRIANGLES,
+        source: None,
+    };
     let (method, info_json) = ("aggressive".into(), "{}".into());
-    Header { triangles: TRIANGLES, method, tree, objects: vec![object], info_json }
+    Header {
+        triangles: TRIANGLES,
+        method,
+        tree,
+        objects: vec![object],
+        info_json,
+    }
 }
 
 /// Opens a file and asks for everything that needs no list of ids.
@@ -69,9 +80,13 @@ fn read(file: &[u8]) -> Result<(u32, Vec<u32>), PvsError> {
 fn memory_follows_bytes_of_file() {
     // All triangles of an object.
     let mut builder = Builder::new(header()).unwrap();
-    builder.set_items(&Items::Objects { never: vec![7] }).unwrap();
+    builder
+        .set_items(&Items::Objects { never: vec![7] })
+        .unwrap();
     builder.push_cell(&[0], &[0], 0).unwrap();
-    builder.push_contributions(&[Contribution::new(0.5, 0.5)]).unwrap();
+    builder
+        .push_contributions(&[Contribution::new(0.5, 0.5)])
+        .unwrap();
     let mut objects = Vec::new();
     builder.finish(&mut objects).unwrap();
     // A few triangles.

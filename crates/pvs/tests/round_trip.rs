@@ -14,7 +14,10 @@ fn tree(cells: usize, shape: &[u8]) -> CellTree {
         let i = nodes.len();
         let axis = i % 3;
         let at = (bounds[0][axis] + bounds[1][axis]) / 2.0;
-        nodes.push(Node::Split { axis: axis as u8, at });
+        nodes.push(Node::Split {
+            axis: axis as u8,
+            at,
+        });
         let below = (1 + (cells - 1) * usize::from(shape[i % shape.len()]) / 256).min(cells - 1);
         let (mut lower, mut upper) = (bounds, bounds);
         lower[1][axis] = at;
@@ -33,11 +36,27 @@ fn header(triangles: u32, tree: CellTree, sizes: &[u32]) -> Header {
     let mut first = 0;
     for (i, &size) in sizes.iter().enumerate() {
         let count = size.min(triangles - first);
-        objects.push(Object { name: format!("part {i} ü"), first, count, source: None });
+        objects.push(Object {
+            name: format!("part {i} ü"),
+            first,
+            count,
+            source: None,
+        });
         first += count;
     }
-    objects.push(Object { name: String::new(), first, count: triangles - first, source: None });
-    Header { triangles, method: "aggressive".into(), tree, objects, info_json: r#"{"seed":1}"#.into() }
+    objects.push(Object {
+        name: String::new(),
+        first,
+        count: triangles - first,
+        source: None,
+    });
+    Header {
+        triangles,
+        method: "aggressive".into(),
+        tree,
+        objects,
+        info_json: r#"{"seed":1}"#.into(),
+    }
 }
 
 type Cell = (Vec<u32>, Vec<u32>, u32);
@@ -57,8 +76,14 @@ fn build_with(header: Header, cells: &[Cell], columns: &[Column]) -> Vec<u8> {
     assert_eq!(stats.file_bytes, file.len() as u64);
     assert_eq!(stats.column_bytes == 0, columns.is_empty());
     assert_eq!(stats.certificate_bytes, 0);
-    assert_eq!(stats.visible_ids, cells.iter().map(|c| c.0.len() as u64).sum::<u64>());
-    assert_eq!(stats.undecided_ids, cells.iter().map(|c| c.1.len() as u64).sum::<u64>());
+    assert_eq!(
+        stats.visible_ids,
+        cells.iter().map(|c| c.0.len() as u64).sum::<u64>()
+    );
+    assert_eq!(
+        stats.undecided_ids,
+        cells.iter().map(|c| c.1.len() as u64).sum::<u64>()
+    );
     file
 }
 
@@ -71,7 +96,11 @@ fn cells(triangles: u32) -> impl Strategy<Value = Vec<Cell>> {
     (base, per_cell).prop_map(move |(base, per_cell)| {
         let cell = |(flips, kind): (Vec<(u32, bool)>, u8)| {
             if kind == 0 {
-                return ((0..triangles).collect(), (0..triangles).collect(), SET_ASIDE | 0x100);
+                return (
+                    (0..triangles).collect(),
+                    (0..triangles).collect(),
+                    SET_ASIDE | 0x100,
+                );
             }
             let mut bits = base.clone();
             let mut open = std::collections::BTreeSet::new();
@@ -208,7 +237,10 @@ fn object_with_visible_triangle_is_not_undecided() {
 
 #[test]
 fn open_result_survives_truncation_of_its_file() {
-    let file = build(header(9, tree(2, &[128]), &[4]), &[(vec![0, 1, 5], vec![5], 0), (vec![1], vec![], 0)]);
+    let file = build(
+        header(9, tree(2, &[128]), &[4]),
+        &[(vec![0, 1, 5], vec![5], 0), (vec![1], vec![], 0)],
+    );
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.pvs");
     std::fs::write(&path, &file).unwrap();
@@ -223,8 +255,10 @@ fn open_result_survives_truncation_of_its_file() {
 
 #[test]
 fn a_file_is_the_same_mapped_and_in_memory() {
-    let file =
-        build(header(9, tree(2, &[128]), &[4]), &[(vec![0, 1, 5], vec![5], 0), (vec![1, 8], vec![], 0)]);
+    let file = build(
+        header(9, tree(2, &[128]), &[4]),
+        &[(vec![0, 1, 5], vec![5], 0), (vec![1, 8], vec![], 0)],
+    );
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.pvs");
     std::fs::write(&path, &file).unwrap();
@@ -237,7 +271,10 @@ fn a_file_is_the_same_mapped_and_in_memory() {
     assert!(bytes.own <= bytes.path && bytes.path < 40, "{bytes:?}");
 
     std::fs::write(dir.path().join("empty.pvs"), b"").unwrap();
-    assert!(matches!(Pvs::open(dir.path().join("empty.pvs")), Err(PvsError::NotPvs)));
+    assert!(matches!(
+        Pvs::open(dir.path().join("empty.pvs")),
+        Err(PvsError::NotPvs)
+    ));
     let missing = Pvs::open(dir.path().join("none.pvs")).unwrap_err();
     assert!(missing.to_string().contains("none.pvs"), "{missing}");
 }
@@ -247,18 +284,33 @@ fn a_file_is_the_same_mapped_and_in_memory() {
 fn what_cells_share_is_stored_once() {
     let base: Vec<u32> = (0..1000).map(|i| i * 7 + i % 3).collect();
     let cells: Vec<Cell> = (0..8)
-        .map(|c| (base.iter().copied().filter(|&id| id != base[c * 100]).collect(), vec![], 0))
+        .map(|c| {
+            (
+                base.iter()
+                    .copied()
+                    .filter(|&id| id != base[c * 100])
+                    .collect(),
+                vec![],
+                0,
+            )
+        })
         .collect();
     let eight = build(header(7100, tree(8, &[128]), &[]), &cells).len();
     let one = build(header(7100, tree(1, &[128]), &[]), &cells[..1]).len();
-    assert!(eight < one + 600, "eight cells take {eight} bytes, one takes {one}");
+    assert!(
+        eight < one + 600,
+        "eight cells take {eight} bytes, one takes {one}"
+    );
 }
 
 #[test]
 fn bad_input_is_refused() {
     let fresh = || Builder::new(header(10, tree(2, &[128]), &[])).unwrap();
     let why = |visible: &[u32], undecided: &[u32], flags| {
-        fresh().push_cell(visible, undecided, flags).unwrap_err().to_string()
+        fresh()
+            .push_cell(visible, undecided, flags)
+            .unwrap_err()
+            .to_string()
     };
     assert!(why(&[3, 3], &[], 0).contains("ascend"));
     assert!(why(&[3, 2], &[], 0).contains("ascend"));
@@ -269,15 +321,46 @@ fn bad_input_is_refused() {
     let mut builder = fresh();
     builder.push_cell(&[1], &[], 0).unwrap();
     let early = fresh().finish(&mut Vec::new()).unwrap_err();
-    assert!(matches!(early, PvsError::CellCount { expected: 2, pushed: 0 }), "{early}");
+    assert!(
+        matches!(
+            early,
+            PvsError::CellCount {
+                expected: 2,
+                pushed: 0
+            }
+        ),
+        "{early}"
+    );
     builder.push_cell(&[2], &[], 0).unwrap();
-    assert!(matches!(builder.push_cell(&[2], &[], 0), Err(PvsError::CellCount { expected: 2, pushed: 3 })));
+    assert!(matches!(
+        builder.push_cell(&[2], &[], 0),
+        Err(PvsError::CellCount {
+            expected: 2,
+            pushed: 3
+        })
+    ));
 
     let mut gap = header(10, tree(1, &[0]), &[]);
-    gap.objects = vec![Object { name: "a".into(), first: 1, count: 9, source: None }];
-    assert!(matches!(Builder::new(gap.clone()), Err(PvsError::Objects { object: 0, .. })));
-    gap.objects = vec![Object { name: "a".into(), first: 0, count: 9, source: None }];
-    assert!(matches!(Builder::new(gap), Err(PvsError::Objects { object: 1, .. })));
+    gap.objects = vec![Object {
+        name: "a".into(),
+        first: 1,
+        count: 9,
+        source: None,
+    }];
+    assert!(matches!(
+        Builder::new(gap.clone()),
+        Err(PvsError::Objects { object: 0, .. })
+    ));
+    gap.objects = vec![Object {
+        name: "a".into(),
+        first: 0,
+        count: 9,
+        source: None,
+    }];
+    assert!(matches!(
+        Builder::new(gap),
+        Err(PvsError::Objects { object: 1, .. })
+    ));
 }
 
 #[test]
@@ -286,14 +369,25 @@ fn cells_together_are_the_cells_one_by_one() {
     let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
     let each: Vec<sightline_pvs::Cell<'_>> = cells
         .iter()
-        .map(|(visible, undecided, flags)| sightline_pvs::Cell { visible, undecided, flags: *flags })
+        .map(|(visible, undecided, flags)| sightline_pvs::Cell {
+            visible,
+            undecided,
+            flags: *flags,
+        })
         .collect();
     let mut together = Builder::new(header()).unwrap();
     together.push_cells(&each[..2]).unwrap();
     // A bad one is named by its number among all, and keeps out those that come with it.
-    let bad = sightline_pvs::Cell { visible: &[3, 2], undecided: &[], flags: 0 };
+    let bad = sightline_pvs::Cell {
+        visible: &[3, 2],
+        undecided: &[],
+        flags: 0,
+    };
     let refused = together.push_cells(&[each[2], bad]).unwrap_err();
-    assert!(matches!(refused, PvsError::Ids { cell: 3, .. }), "{refused}");
+    assert!(
+        matches!(refused, PvsError::Ids { cell: 3, .. }),
+        "{refused}"
+    );
     together.push_cells(&each[2..]).unwrap();
     let mut file = Vec::new();
     together.finish(&mut file).unwrap();
@@ -304,7 +398,10 @@ fn cells_together_are_the_cells_one_by_one() {
 fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
     let cells = fixed_cells();
     let header = || header(500, tree(6, &[128, 40]), &[100, 0, 250]);
-    let column = |name: &str, value: u64| Column { name: name.into(), values: vec![value; cells.len()] };
+    let column = |name: &str, value: u64| Column {
+        name: name.into(),
+        values: vec![value; cells.len()],
+    };
     let without = build(header(), &cells);
     let entry = 24;
     // The count; two lengths and a name for each column; a byte for seven bits of each value.
@@ -313,7 +410,10 @@ fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
     assert_eq!(with.len(), without.len() + entry + 4 + (8 + 12 + 6));
     let both = [column("rays_uniform", 127), column("bound_lines", 128)];
     let with = build_with(header(), &cells, &both);
-    assert_eq!(with.len(), without.len() + entry + 4 + (8 + 12 + 6) + (8 + 11 + 2 * 6));
+    assert_eq!(
+        with.len(),
+        without.len() + entry + 4 + (8 + 12 + 6) + (8 + 11 + 2 * 6)
+    );
     // Those who read sets find the same bytes.
     let [with, without] = [with, without].map(|file| Pvs::from_bytes(file).unwrap());
     assert_eq!(with.file_bytes()[1..], without.file_bytes()[1..]);
@@ -324,22 +424,39 @@ fn columns_add_their_bytes_and_an_entry_and_nothing_else() {
 
 #[test]
 fn columns_can_be_set_at_any_time_and_again() {
-    let column = |name: &str, values: &[u64]| Column { name: name.into(), values: values.to_vec() };
+    let column = |name: &str, values: &[u64]| Column {
+        name: name.into(),
+        values: values.to_vec(),
+    };
     let mut builder = Builder::new(header(10, tree(2, &[128]), &[])).unwrap();
-    builder.set_columns(vec![column("a", &[1, 2]), column("b", &[3, 4])]).unwrap();
+    builder
+        .set_columns(vec![column("a", &[1, 2]), column("b", &[3, 4])])
+        .unwrap();
     builder.push_cell(&[1], &[], 0).unwrap();
     builder.set_columns(vec![column("c", &[5, 6])]).unwrap();
     builder.push_cell(&[2], &[], 0).unwrap();
-    for bad in [column("", &[1, 2]), column("d", &[1]), column(&"d".repeat(65), &[1, 2])] {
+    for bad in [
+        column("", &[1, 2]),
+        column("d", &[1]),
+        column(&"d".repeat(65), &[1, 2]),
+    ] {
         let error = builder.set_columns(vec![bad.clone()]).unwrap_err();
-        assert!(matches!(&error, PvsError::Column { name, .. } if *name == bad.name), "{error}");
+        assert!(
+            matches!(&error, PvsError::Column { name, .. } if *name == bad.name),
+            "{error}"
+        );
     }
-    let twice = builder.set_columns(vec![column("d", &[1, 2]), column("d", &[1, 2])]).unwrap_err();
+    let twice = builder
+        .set_columns(vec![column("d", &[1, 2]), column("d", &[1, 2])])
+        .unwrap_err();
     assert!(twice.to_string().contains("\"d\""), "{twice}");
     let mut file = Vec::new();
     builder.finish(&mut file).unwrap();
     // What was refused has changed nothing.
-    assert_eq!(Pvs::from_bytes(file).unwrap().columns().unwrap(), [column("c", &[5, 6])]);
+    assert_eq!(
+        Pvs::from_bytes(file).unwrap().columns().unwrap(),
+        [column("c", &[5, 6])]
+    );
 }
 
 #[test]
@@ -370,8 +487,14 @@ fn digest(file: &[u8]) -> u64 {
 fn fixed_cells() -> Vec<Cell> {
     let mut cells: Vec<Cell> = (0..5u32)
         .map(|c| {
-            let visible: Vec<u32> = (0..500).filter(|i| (i * i + c * (i / 40)) % 7 < 3).collect();
-            let undecided = visible.iter().copied().filter(|i| (i + c) % 11 == 0).collect();
+            let visible: Vec<u32> = (0..500)
+                .filter(|i| (i * i + c * (i / 40)) % 7 < 3)
+                .collect();
+            let undecided = visible
+                .iter()
+                .copied()
+                .filter(|i| (i + c) % 11 == 0)
+                .collect();
             (visible, undecided, c << 8)
         })
         .collect();
@@ -387,7 +510,10 @@ fn a_file_without_columns_is_what_it_was_before_there_were_any() {
     let file = build(header(500, tree(6, &[128, 40]), &[100, 0, 250]), &cells);
     assert_eq!(file[12], 7);
     assert_eq!((file.len(), digest(&file)), (1148, 0xe08b_5a10_1a32_7e3d));
-    let decided: Vec<Cell> = cells.into_iter().map(|(visible, _, flags)| (visible, vec![], flags)).collect();
+    let decided: Vec<Cell> = cells
+        .into_iter()
+        .map(|(visible, _, flags)| (visible, vec![], flags))
+        .collect();
     let file = build(header(500, tree(6, &[128, 40]), &[100, 0, 250]), &decided);
     assert_eq!((file.len(), digest(&file)), (917, 0xac16_9745_b2c9_8d66));
 }

@@ -5,8 +5,8 @@
 
 use proptest::prelude::*;
 use sightline_pvs::{
-    Builder, CellPairs, CellTree, Contribution, Granularity, Header, Items, Node, Object, Pvs, PvsError,
-    Relation, Source,
+    Builder, CellPairs, CellTree, Contribution, Granularity, Header, Items, Node, Object, Pvs,
+    PvsError, Relation, Source,
 };
 
 /// A tree that halves a box `levels` times along x, y, z in turn.
@@ -32,12 +32,29 @@ fn tree(levels: u32) -> CellTree {
 fn builder(levels: u32, sources: bool) -> Builder {
     let source = |node| {
         let instance = (node == 2).then_some(7);
-        sources.then_some(Source { node, mesh: node + 1, primitive: 0, instance })
+        sources.then_some(Source {
+            node,
+            mesh: node + 1,
+            primitive: 0,
+            instance,
+        })
     };
-    let object = |i: u32, first, count| Object { name: format!("part {i}"), first, count, source: source(i) };
+    let object = |i: u32, first, count| Object {
+        name: format!("part {i}"),
+        first,
+        count,
+        source: source(i),
+    };
     let objects = vec![object(0, 0, 4), object(1, 4, 0), object(2, 4, 6)];
     let (method, info_json) = ("aggressive".into(), "{}".into());
-    Builder::new(Header { triangles: 10, method, tree: tree(levels), objects, info_json }).unwrap()
+    Builder::new(Header {
+        triangles: 10,
+        method,
+        tree: tree(levels),
+        objects,
+        info_json,
+    })
+    .unwrap()
 }
 
 fn finished(builder: Builder) -> Vec<u8> {
@@ -49,7 +66,9 @@ fn finished(builder: Builder) -> Vec<u8> {
 fn relation(cells: u32, pairs: &[(u32, u32)]) -> Relation {
     let mut relation = Relation::empty(cells).unwrap();
     (0..cells).for_each(|c| relation.insert(c, c));
-    pairs.iter().for_each(|(a, b)| relation.insert(a % cells, b % cells));
+    pairs
+        .iter()
+        .for_each(|(a, b)| relation.insert(a % cells, b % cells));
     relation
 }
 
@@ -59,12 +78,18 @@ fn full(items: &Items) -> Vec<u8> {
     b.set_items(items).unwrap();
     b.push_cell(&[0, 2], &[2], 0).unwrap();
     b.push_cell(&[1], &[], 0).unwrap();
-    b.push_contributions(&[Contribution::new(0.25, 0.5), Contribution::new(0.0, 0.0)]).unwrap();
-    b.push_contributions(&[Contribution::new(0.001, 1.0)]).unwrap();
+    b.push_contributions(&[Contribution::new(0.25, 0.5), Contribution::new(0.0, 0.0)])
+        .unwrap();
+    b.push_contributions(&[Contribution::new(0.001, 1.0)])
+        .unwrap();
     let visible = relation(2, &[(0, 1)]);
     let mut undecided = Relation::empty(2).unwrap();
     undecided.insert(0, 1);
-    b.set_pairs(&CellPairs { visible, undecided: Some(undecided) }).unwrap();
+    b.set_pairs(&CellPairs {
+        visible,
+        undecided: Some(undecided),
+    })
+    .unwrap();
     finished(b)
 }
 
@@ -81,7 +106,10 @@ fn ids(f: impl FnOnce(&mut Vec<u32>) -> Result<(), PvsError>) -> Vec<u32> {
 #[test]
 fn clusters_and_objects_come_back_as_items_and_as_triangles() {
     let pvs = Pvs::from_bytes(full(&clusters())).unwrap();
-    assert_eq!((pvs.granularity(), pvs.item_count()), (Granularity::Clusters, 3));
+    assert_eq!(
+        (pvs.granularity(), pvs.item_count()),
+        (Granularity::Clusters, 3)
+    );
     assert_eq!(ids(|v| pvs.visible_items(0, v)), [0, 2]);
     assert_eq!(ids(|v| pvs.visible(0, v)), [0, 3, 4, 5, 9]);
     assert_eq!(ids(|v| pvs.undecided(0, v)), [4, 5, 9]);
@@ -100,10 +128,17 @@ fn clusters_and_objects_come_back_as_items_and_as_triangles() {
     assert!(of.is_empty());
 
     let pvs = Pvs::from_bytes(full(&Items::Objects { never: vec![1, 9] })).unwrap();
-    assert_eq!((pvs.granularity(), pvs.item_count()), (Granularity::Objects, 3));
+    assert_eq!(
+        (pvs.granularity(), pvs.item_count()),
+        (Granularity::Objects, 3)
+    );
     assert_eq!(ids(|v| pvs.visible_objects(0, v)), [0, 2]);
     assert_eq!(ids(|v| pvs.visible(0, v)), [0, 2, 3, 4, 5, 6, 7, 8]);
-    assert_eq!(ids(|v| pvs.visible(1, v)), [0u32; 0], "an object without triangles");
+    assert_eq!(
+        ids(|v| pvs.visible(1, v)),
+        [0u32; 0],
+        "an object without triangles"
+    );
 }
 
 #[test]
@@ -112,10 +147,21 @@ fn contributions_pairs_and_sources_come_back() {
     let of = pvs.contributions(0).unwrap().unwrap();
     assert!(of[0].mean()[0] <= 0.25 && 0.25 <= of[0].mean()[1] && of[1].mean() == [0.0, 0.0]);
     assert!(pvs.sees(0, 1).unwrap() && pvs.sees(1, 1).unwrap());
-    assert!(pvs.cell_pairs().unwrap().unwrap().undecided.as_ref().unwrap().has(1, 0));
+    assert!(
+        pvs.cell_pairs()
+            .unwrap()
+            .unwrap()
+            .undecided
+            .as_ref()
+            .unwrap()
+            .has(1, 0)
+    );
     assert!(matches!(pvs.sees(0, 2), Err(PvsError::NoCell { .. })));
     let source = pvs.objects()[2].source.unwrap();
-    assert_eq!((source.node, source.mesh, source.primitive, source.instance), (2, 3, 0, Some(7)));
+    assert_eq!(
+        (source.node, source.mesh, source.primitive, source.instance),
+        (2, 3, 0, Some(7))
+    );
     assert_eq!(pvs.objects()[0].source.unwrap().instance, None);
     // A file without them.
     let mut b = builder(1, false);
@@ -132,7 +178,11 @@ fn contributions_pairs_and_sources_come_back() {
 #[test]
 fn nothing_is_known_of_cells_without_viewpoints_so_they_count_as_seen() {
     let mut b = builder(1, false);
-    b.set_pairs(&CellPairs { visible: relation(2, &[(0, 0), (1, 1)]), undecided: None }).unwrap();
+    b.set_pairs(&CellPairs {
+        visible: relation(2, &[(0, 0), (1, 1)]),
+        undecided: None,
+    })
+    .unwrap();
     b.push_cell(&[], &[], sightline_pvs::NOT_REACHED).unwrap();
     b.push_cell(&[0], &[], 0).unwrap();
     let pvs = Pvs::from_bytes(finished(b)).unwrap();
@@ -150,14 +200,33 @@ fn what_contradicts_itself_is_refused() {
     assert!(b.push_cell(&[0], &[], sightline_pvs::NOT_REACHED).is_err());
     assert!(b.set_items(&Items::Clusters(vec![vec![3, 1]])).is_err());
     assert!(b.set_items(&Items::Clusters(vec![vec![10]])).is_err());
-    assert!(b.set_pairs(&CellPairs { visible: relation(3, &[]), undecided: None }).is_err());
-    for (cells, why) in [(3, "another number of cells"), (2, "undecided and not visible")] {
+    assert!(
+        b.set_pairs(&CellPairs {
+            visible: relation(3, &[]),
+            undecided: None
+        })
+        .is_err()
+    );
+    for (cells, why) in [
+        (3, "another number of cells"),
+        (2, "undecided and not visible"),
+    ] {
         let undecided = Some(relation(cells, &[(0, 1)]));
-        let error = b.set_pairs(&CellPairs { visible: relation(2, &[]), undecided }).unwrap_err();
+        let error = b
+            .set_pairs(&CellPairs {
+                visible: relation(2, &[]),
+                undecided,
+            })
+            .unwrap_err();
         assert!(error.to_string().contains(why), "{error}");
     }
     b.set_items(&clusters()).unwrap();
-    assert!(b.push_cell(&[3], &[], 0).unwrap_err().to_string().contains("no item 3"));
+    assert!(
+        b.push_cell(&[3], &[], 0)
+            .unwrap_err()
+            .to_string()
+            .contains("no item 3")
+    );
     b.push_cell(&[0], &[], 0).unwrap();
     assert!(b.set_items(&clusters()).is_err());
     // Two clusters share a triangle.
@@ -172,7 +241,10 @@ fn every_altered_byte_and_every_truncation_is_noticed() {
             for flip in [0x01, 0x0f, 0x80, 0xff] {
                 let mut altered = file.clone();
                 altered[at] ^= flip;
-                assert!(Pvs::from_bytes(altered).is_err(), "byte {at} changed by {flip:#x}");
+                assert!(
+                    Pvs::from_bytes(altered).is_err(),
+                    "byte {at} changed by {flip:#x}"
+                );
             }
             assert!(Pvs::from_bytes(&file[..at]).is_err());
         }
@@ -182,8 +254,14 @@ fn every_altered_byte_and_every_truncation_is_noticed() {
 #[test]
 fn a_kept_file_of_version_1_reads_as_before() {
     let pvs = Pvs::from_bytes(&include_bytes!("data/tiny-version-1.pvs")[..]).unwrap();
-    assert_eq!((pvs.cells(), pvs.triangle_count(), pvs.method()), (2, 5, "aggressive"));
-    assert_eq!([0, 1].map(|c| ids(|v| pvs.visible(c, v))), [vec![0, 1, 3, 4], vec![2, 3, 4]]);
+    assert_eq!(
+        (pvs.cells(), pvs.triangle_count(), pvs.method()),
+        (2, 5, "aggressive")
+    );
+    assert_eq!(
+        [0, 1].map(|c| ids(|v| pvs.visible(c, v))),
+        [vec![0, 1, 3, 4], vec![2, 3, 4]]
+    );
     assert_eq!(ids(|v| pvs.visible_objects(1, v)), [1, 2]);
     assert_eq!(pvs.granularity(), Granularity::Triangles);
     let names: Vec<&str> = pvs.objects().iter().map(|o| o.name.as_str()).collect();

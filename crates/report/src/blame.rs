@@ -105,14 +105,25 @@ pub fn blame(
     let mut objects = Vec::new();
     for of in &seen {
         let triangles = &costs.groups[of.group].triangles;
-        let object = Aabb::around(triangles.iter().flat_map(|t| scene.triangles()[*t as usize].v));
+        let object = Aabb::around(
+            triangles
+                .iter()
+                .flat_map(|t| scene.triangles()[*t as usize].v),
+        );
         let sights: Vec<&Sights> = of.sights.iter().map(|(sights, _)| sights).collect();
         let through = find(bounds, object, &sights).map(|opening| {
             // Boxes that meet are taken to be one opening: the first that was found.
-            openings.iter().position(|known| known.opening.meets(&opening)).unwrap_or_else(|| {
-                openings.push(Closed { opening, saves: 0.0, objects: 0 });
-                openings.len() - 1
-            })
+            openings
+                .iter()
+                .position(|known| known.opening.meets(&opening))
+                .unwrap_or_else(|| {
+                    openings.push(Closed {
+                        opening,
+                        saves: 0.0,
+                        objects: 0,
+                    });
+                    openings.len() - 1
+                })
         });
         if let Some(number) = through {
             openings[number].objects += 1;
@@ -129,23 +140,46 @@ pub fn blame(
         });
     }
     for closed in &mut openings {
-        let saved: f64 = seen.iter().map(|of| saved_by(closed.opening, of, by_group[of.group].0)).sum();
+        let saved: f64 = seen
+            .iter()
+            .map(|of| saved_by(closed.opening, of, by_group[of.group].0))
+            .sum();
         closed.saves = saved / costs.total.max(1) as f64;
     }
     // Numbers follow the order.
     let mut ranks: Vec<usize> = (0..openings.len()).collect();
-    ranks.sort_by(|a, b| openings[*b].saves.total_cmp(&openings[*a].saves).then(a.cmp(b)));
+    ranks.sort_by(|a, b| {
+        openings[*b]
+            .saves
+            .total_cmp(&openings[*a].saves)
+            .then(a.cmp(b))
+    });
     for object in &mut objects {
-        object.through = object.through.and_then(|old| ranks.iter().position(|rank| *rank == old));
+        object.through = object
+            .through
+            .and_then(|old| ranks.iter().position(|rank| *rank == old));
     }
     let openings = ranks.iter().map(|rank| openings[*rank].clone()).collect();
-    Ok(Blame { are_clusters: costs.are_clusters, objects, openings })
+    Ok(Blame {
+        are_clusters: costs.are_clusters,
+        objects,
+        openings,
+    })
 }
 
 /// Triangles that would not be drawn of an object that `cells` cells see.
 fn saved_by(opening: Opening, of: &Seen, cells: u32) -> f64 {
-    let is_hidden = |s: &&(Sights, u32)| s.0.segments.iter().all(|segment| opening.is_passed(*segment));
-    let hidden: u64 = of.sights.iter().filter(is_hidden).map(|(_, drawn)| u64::from(*drawn)).sum();
+    let is_hidden = |s: &&(Sights, u32)| {
+        s.0.segments
+            .iter()
+            .all(|segment| opening.is_passed(*segment))
+    };
+    let hidden: u64 = of
+        .sights
+        .iter()
+        .filter(is_hidden)
+        .map(|(_, drawn)| u64::from(*drawn))
+        .sum();
     // Cells without a witness say nothing, and count as cells that go on seeing the object.
     hidden as f64 * f64::from(cells) / f64::from(of.looked_at.max(1))
 }
@@ -162,7 +196,9 @@ fn look(
     let seers: Vec<(u32, u32)> = (0u32..)
         .zip(&costs.cells)
         .filter_map(|(cell, drawn)| {
-            let at = drawn.binary_search_by_key(&(group as u32), |(g, _)| *g).ok()?;
+            let at = drawn
+                .binary_search_by_key(&(group as u32), |(g, _)| *g)
+                .ok()?;
             Some((cell, drawn[at].1))
         })
         .collect();
@@ -173,7 +209,9 @@ fn look(
         looked_at += 1;
         pvs.visible(cell, &mut ids)?;
         ids.retain(|id| own.binary_search(id).is_ok());
-        let Some([min, max]) = pvs.cell_bounds(cell).map(|b| b.map(Vec3::from)) else { continue };
+        let Some([min, max]) = pvs.cell_bounds(cell).map(|b| b.map(Vec3::from)) else {
+            continue;
+        };
         let mut random = SplitMix64::named(&[seed, group as u64, u64::from(cell)]);
         let mut unit = || random.unit_f32();
         let mut packets: Vec<Packet> = Vec::new();
@@ -184,7 +222,8 @@ fn look(
                 is_place(at).then_some(at)
             });
             let pick = (unit() * ids.len() as f32) as usize;
-            let (Some(from), Some(id)) = (place, ids.get(pick.min(ids.len().saturating_sub(1)))) else {
+            let (Some(from), Some(id)) = (place, ids.get(pick.min(ids.len().saturating_sub(1))))
+            else {
                 continue;
             };
             // Uniform over the triangle (Turk 1990).
@@ -204,11 +243,28 @@ fn look(
         }
         sight.trace_each(&mut packets, &mut Passed::default(), step)?;
         let is_free = |i: usize| packets[i / LANES].distance[i % LANES] >= FREE;
-        let segments: Vec<[Vec3; 2]> = (0..tried.len()).filter(|i| is_free(*i)).map(|i| tried[i]).collect();
+        let segments: Vec<[Vec3; 2]> = (0..tried.len())
+            .filter(|i| is_free(*i))
+            .map(|i| tried[i])
+            .collect();
         if !segments.is_empty() {
-            let blocked = (0..tried.len()).filter(|i| !is_free(*i)).map(|i| tried[i]).collect();
-            sights.push((Sights { cell: Aabb { min, max }, segments, blocked }, drawn));
+            let blocked = (0..tried.len())
+                .filter(|i| !is_free(*i))
+                .map(|i| tried[i])
+                .collect();
+            sights.push((
+                Sights {
+                    cell: Aabb { min, max },
+                    segments,
+                    blocked,
+                },
+                drawn,
+            ));
         }
     }
-    Ok(Seen { group, looked_at, sights })
+    Ok(Seen {
+        group,
+        looked_at,
+        sights,
+    })
 }

@@ -44,34 +44,60 @@ pub struct OverBudget {
 }
 
 /// The cells that draw more than they may, the worst first; without a budget the `most` that draw most.
-pub fn over_budget(pvs: &Pvs, costs: &Costs, budget: Option<&Budget>, most: usize) -> Vec<OverBudget> {
-    let each = budget.and_then(|b| b.bytes_per_triangle).unwrap_or(BYTES_A_TRIANGLE);
+pub fn over_budget(
+    pvs: &Pvs,
+    costs: &Costs,
+    budget: Option<&Budget>,
+    most: usize,
+) -> Vec<OverBudget> {
+    let each = budget
+        .and_then(|b| b.bytes_per_triangle)
+        .unwrap_or(BYTES_A_TRIANGLE);
     let size = |group: u32| costs.groups[group as usize].triangles.len() as u64;
     let mut all = Vec::new();
     for (cell, drawn) in (0u32..).zip(&costs.cells) {
         let triangles: u64 = drawn.iter().map(|(_, count)| u64::from(*count)).sum();
         let objects = drawn.len() as u64;
-        let bytes = drawn.iter().map(|(group, _)| size(*group)).sum::<u64>().saturating_mul(each);
+        let bytes = drawn
+            .iter()
+            .map(|(group, _)| size(*group))
+            .sum::<u64>()
+            .saturating_mul(each);
         let of = |is: u64, limit: Option<u64>| match limit {
             // Anything is infinitely many times nothing.
             Some(0) if is > 0 => f64::INFINITY,
             None | Some(0) => 0.0,
             Some(limit) => is as f64 / limit as f64,
         };
-        let times = budget
-            .map_or(0.0, |b| of(triangles, b.triangles).max(of(objects, b.objects)).max(of(bytes, b.bytes)));
+        let times = budget.map_or(0.0, |b| {
+            of(triangles, b.triangles)
+                .max(of(objects, b.objects))
+                .max(of(bytes, b.bytes))
+        });
         if budget.is_some() && times <= 1.0 || drawn.is_empty() {
             continue;
         }
         let mut costliest = drawn.clone();
         costliest.sort_by_key(|(group, count)| (std::cmp::Reverse(*count), *group));
-        let name = |(group, count): &(u32, u32)| (costs.groups[*group as usize].name.clone(), *count);
+        let name =
+            |(group, count): &(u32, u32)| (costs.groups[*group as usize].name.clone(), *count);
         let costliest = costliest.iter().take(NAMED).map(name).collect();
         let bounds = pvs.cell_bounds(cell).unwrap_or_default();
-        all.push(OverBudget { cell, bounds, triangles, objects, bytes, times, costliest });
+        all.push(OverBudget {
+            cell,
+            bounds,
+            triangles,
+            objects,
+            bytes,
+            times,
+            costliest,
+        });
     }
     all.sort_by(|a, b| {
-        b.times.total_cmp(&a.times).then(b.triangles.cmp(&a.triangles)).then(a.cell.cmp(&b.cell))
+        b.times
+            .total_cmp(&a.times)
+            .then(b.triangles.cmp(&a.triangles))
+            .then(a.cell.cmp(&b.cell))
     });
     if budget.is_none() {
         all.truncate(most);
@@ -87,6 +113,11 @@ mod tests {
     fn a_budget_names_only_what_there_is() {
         let read = |text: &str| serde_json::from_str::<Budget>(text);
         assert_eq!(read(r#"{"triangles": 9}"#).unwrap().triangles, Some(9));
-        assert!(read(r#"{"triangle": 9}"#).unwrap_err().to_string().contains("triangle"));
+        assert!(
+            read(r#"{"triangle": 9}"#)
+                .unwrap_err()
+                .to_string()
+                .contains("triangle")
+        );
     }
 }

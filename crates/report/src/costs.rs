@@ -38,7 +38,11 @@ impl Costs {
     /// [`ReportError::Pvs`] when the result cannot be read.
     pub fn of(pvs: &Pvs, scene: &Scene) -> Result<Self, ReportError> {
         let are_clusters = scene.objects().len() < FEW;
-        let groups = if are_clusters { clusters_of(scene) } else { objects_of(scene) };
+        let groups = if are_clusters {
+            clusters_of(scene)
+        } else {
+            objects_of(scene)
+        };
         Self::of_groups(pvs, scene, groups, are_clusters)
     }
 
@@ -58,7 +62,10 @@ impl Costs {
     ) -> Result<Self, ReportError> {
         let mut group_of = vec![u32::MAX; scene.len() as usize];
         for (number, group) in (0u32..).zip(&groups) {
-            group.triangles.iter().for_each(|t| group_of[*t as usize] = number);
+            group
+                .triangles
+                .iter()
+                .for_each(|t| group_of[*t as usize] = number);
         }
         let (mut cells, mut total) = (Vec::with_capacity(pvs.cells() as usize), 0);
         let (mut ids, mut counts) = (Vec::new(), vec![0u32; groups.len()]);
@@ -71,10 +78,22 @@ impl Costs {
                     *count += 1;
                 }
             }
-            let found = counts.iter_mut().enumerate().filter(|(_, count)| **count > 0);
-            cells.push(found.map(|(group, count)| (group as u32, std::mem::take(count))).collect());
+            let found = counts
+                .iter_mut()
+                .enumerate()
+                .filter(|(_, count)| **count > 0);
+            cells.push(
+                found
+                    .map(|(group, count)| (group as u32, std::mem::take(count)))
+                    .collect(),
+            );
         }
-        Ok(Self { groups, are_clusters, cells, total })
+        Ok(Self {
+            groups,
+            are_clusters,
+            cells,
+            total,
+        })
     }
 
     /// For each group in how many cells it is seen, and how many of its triangles these draw.
@@ -98,10 +117,15 @@ fn objects_of(scene: &Scene) -> Vec<Group> {
 
 fn clusters_of(scene: &Scene) -> Vec<Group> {
     let of = |triangles: Vec<u32>| {
-        let corners = triangles.iter().flat_map(|t| scene.triangles()[*t as usize].v);
+        let corners = triangles
+            .iter()
+            .flat_map(|t| scene.triangles()[*t as usize].v);
         let around = sightline_scene::Aabb::around(corners);
         let at = (around.min + around.max) / 2.0;
-        Group { name: format!("around ({:.4}, {:.4}, {:.4})", at.x, at.y, at.z), triangles }
+        Group {
+            name: format!("around ({:.4}, {:.4}, {:.4})", at.x, at.y, at.z),
+            triangles,
+        }
     };
     clusters(scene).into_iter().map(of).collect()
 }

@@ -80,20 +80,28 @@ pub fn find(scene: Aabb, object: Aabb, sights: &[&Sights]) -> Option<Opening> {
         return None;
     }
     let longest = (scene.max - scene.min).max_element();
-    GRIDS.into_iter().find_map(|grid| of_size(scene, object, sights, longest / grid as f32))
+    GRIDS
+        .into_iter()
+        .find_map(|grid| of_size(scene, object, sights, longest / grid as f32))
 }
 
 /// The box of this size that most cells see the object through. Boxes overlap by half, so that an opening of
 /// half the size is in one of them.
 fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<Opening> {
     let half = size / 2.0;
-    let near = Aabb { min: object.min - size, max: object.max + size };
+    let near = Aabb {
+        min: object.min - size,
+        max: object.max + size,
+    };
     let mut cells: FxHashMap<[u32; 3], u32> = FxHashMap::default();
     for of in sights.iter().filter(|of| of.is_narrow()) {
         let passes = |segments: &[[Vec3; 2]], share: f64| {
             let (passed, count) = passing(scene, &[of.cell, near], segments, half);
             let enough = share * count as f64;
-            passed.into_iter().filter(move |(_, n)| f64::from(*n) >= enough).map(|(place, _)| place)
+            passed
+                .into_iter()
+                .filter(move |(_, n)| f64::from(*n) >= enough)
+                .map(|(place, _)| place)
         };
         let full: FxHashSet<[u32; 3]> = passes(&of.blocked, FEW).collect();
         for place in passes(&of.segments, MOST).filter(|place| !full.contains(place)) {
@@ -101,10 +109,14 @@ fn of_size(scene: Aabb, object: Aabb, sights: &[&Sights], size: f32) -> Option<O
         }
     }
     // Of several with the same count the first in order, so that the answer is one.
-    let (place, count) = cells.into_iter().max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)))?;
+    let (place, count) = cells
+        .into_iter()
+        .max_by(|a, b| a.1.cmp(&b.1).then(b.0.cmp(&a.0)))?;
     (f64::from(count) >= SHARE * sights.len() as f64).then(|| {
         let min = scene.min + Vec3::from(place.map(|p| p as f32)) * half;
-        Opening { bounds: [min.to_array(), (min + size).to_array()] }
+        Opening {
+            bounds: [min.to_array(), (min + size).to_array()],
+        }
     })
 }
 
@@ -131,14 +143,22 @@ fn passing(
             let place = ((at - scene.min) / half).as_uvec3();
             for corner in 0..8 {
                 let back = UVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
-                let entry = passed.entry(place.saturating_sub(back).to_array()).or_insert((0, usize::MAX));
+                let entry = passed
+                    .entry(place.saturating_sub(back).to_array())
+                    .or_insert((0, usize::MAX));
                 if entry.1 != number {
                     *entry = (entry.0 + 1, number);
                 }
             }
         }
     }
-    (passed.into_iter().map(|(place, (n, _))| (place, n)).collect(), count)
+    (
+        passed
+            .into_iter()
+            .map(|(place, (n, _))| (place, n))
+            .collect(),
+        count,
+    )
 }
 
 #[cfg(test)]
@@ -147,7 +167,9 @@ mod tests {
 
     #[test]
     fn a_segment_passes_a_box_or_not() {
-        let unit = Opening { bounds: [[0.0; 3], [1.0; 3]] };
+        let unit = Opening {
+            bounds: [[0.0; 3], [1.0; 3]],
+        };
         let passes = |a: [f32; 3], b: [f32; 3]| unit.is_passed([a.into(), b.into()]);
         assert!(passes([-1.0, 0.5, 0.5], [2.0, 0.5, 0.5]));
         assert!(!passes([-1.0, 0.5, 0.5], [-0.5, 0.5, 0.5]));
@@ -157,8 +179,14 @@ mod tests {
 
     #[test]
     fn a_door_is_found_and_the_open_is_not() {
-        let scene = Aabb { min: Vec3::ZERO, max: Vec3::new(24.0, 4.0, 24.0) };
-        let object = Aabb { min: Vec3::new(20.0, 0.0, 10.0), max: Vec3::new(22.0, 2.0, 14.0) };
+        let scene = Aabb {
+            min: Vec3::ZERO,
+            max: Vec3::new(24.0, 4.0, 24.0),
+        };
+        let object = Aabb {
+            min: Vec3::new(20.0, 0.0, 10.0),
+            max: Vec3::new(22.0, 2.0, 14.0),
+        };
         // All segments pass a door at x = 12, z = 11.5 to 12.5; or go straight.
         let sights = |through: bool| -> Vec<Sights> {
             let from = |k: u32| {
@@ -170,10 +198,17 @@ mod tests {
                 let segments = (0..9u8).map(|n| {
                     let door = Vec3::new(12.0, 1.0, 11.6 + 0.1 * f32::from(n));
                     let b = a + (door - a) * 1.9;
-                    if through { [a, b] } else { [a, Vec3::new(21.0, 1.0, a.z + f32::from(n) * 0.1)] }
+                    if through {
+                        [a, b]
+                    } else {
+                        [a, Vec3::new(21.0, 1.0, a.z + f32::from(n) * 0.1)]
+                    }
                 });
                 Sights {
-                    cell: Aabb { min: cell_min, max: cell_min + 1.0 },
+                    cell: Aabb {
+                        min: cell_min,
+                        max: cell_min + 1.0,
+                    },
                     segments: segments.collect(),
                     blocked,
                 }
@@ -183,7 +218,10 @@ mod tests {
         let found = |sights: &[Sights]| find(scene, object, &sights.iter().collect::<Vec<_>>());
         let door = found(&sights(true)).unwrap();
         let [min, max] = door.bounds;
-        assert!(min[0] <= 12.5 && max[0] >= 11.5 && max[0] - min[0] <= 2.0, "{door:?}");
+        assert!(
+            min[0] <= 12.5 && max[0] >= 11.5 && max[0] - min[0] <= 2.0,
+            "{door:?}"
+        );
         assert!(min[2] <= 12.5 && max[2] >= 11.5, "{door:?}");
         assert_eq!(found(&sights(false)), None);
         // In the open all segments come together in front of a small object; nothing else was tried.

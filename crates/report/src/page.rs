@@ -52,7 +52,10 @@ fn escaped(text: &str) -> String {
     // A document may hold no other control characters.
     let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     let text = text.replace(is_refused, "\u{fffd}");
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 /// A point with few digits.
@@ -117,16 +120,31 @@ fn error(out: &mut String, about: &About<'_>, base64: &dyn Fn(&[u8]) -> String) 
         percent(e.max_error)
     );
     let frames: Vec<f64> = e.worst.iter().map(|f| f.error).collect();
-    let _ = write!(out, "<figure>{}</figure>", cumulative(&frames, LEAST, "wrong pixels of a frame"));
+    let _ = write!(
+        out,
+        "<figure>{}</figure>",
+        cumulative(&frames, LEAST, "wrong pixels of a frame")
+    );
     let bounds: Vec<f64> = about.cells.iter().filter_map(|(_, bound)| *bound).collect();
     if !bounds.is_empty() {
         let name = "bound on missed sight lines of a cell";
         let _ = write!(out, "<figure>{}</figure>", cumulative(&bounds, LEAST, name));
     }
     let size = |cell: u32| about.cells.get(cell as usize).map_or(0, |c| c.0) as f64;
-    let points: Vec<[f64; 2]> = e.worst.iter().map(|f| [size(f.cell), f.error * 100.0]).collect();
-    let names = ["triangles in the set of a frame's cell", "wrong pixels in %"];
-    let _ = write!(out, "<figure>{}</figure></div><h2>Worst frames</h2>", scatter(&points, names));
+    let points: Vec<[f64; 2]> = e
+        .worst
+        .iter()
+        .map(|f| [size(f.cell), f.error * 100.0])
+        .collect();
+    let names = [
+        "triangles in the set of a frame's cell",
+        "wrong pixels in %",
+    ];
+    let _ = write!(
+        out,
+        "<figure>{}</figure></div><h2>Worst frames</h2>",
+        scatter(&points, names)
+    );
     if about.frames.is_empty() {
         out.push_str("<p>No frame has a wrong pixel.</p>");
         return;
@@ -175,8 +193,11 @@ fn budget(out: &mut String, about: &About<'_>) {
         }
     }
     let row = |over: &OverBudget| {
-        let named: Vec<String> =
-            over.costliest.iter().map(|(name, n)| format!("{} ({n})", escaped(name))).collect();
+        let named: Vec<String> = over
+            .costliest
+            .iter()
+            .map(|(name, n)| format!("{} ({n})", escaped(name)))
+            .collect();
         vec![
             over.cell.to_string(),
             format!("{} to {}", point(over.bounds[0]), point(over.bounds[1])),
@@ -186,15 +207,29 @@ fn budget(out: &mut String, about: &About<'_>) {
             named.join(", "),
         ]
     };
-    let head = ["cell", "box", "triangles", "objects", "bytes", "what costs most (triangles drawn)"];
+    let head = [
+        "cell",
+        "box",
+        "triangles",
+        "objects",
+        "bytes",
+        "what costs most (triangles drawn)",
+    ];
     table(out, &head, about.over.iter().take(LISTED).map(row));
 }
 
 fn blame(out: &mut String, blame: &Blame) {
-    let what = if blame.are_clusters { "cluster" } else { "object" };
+    let what = if blame.are_clusters {
+        "cluster"
+    } else {
+        "object"
+    };
     out.push_str("<h2>Openings</h2>");
     if blame.openings.is_empty() {
-        let _ = write!(out, "<p>No {what} is seen through a single opening from most cells.</p>");
+        let _ = write!(
+            out,
+            "<p>No {what} is seen through a single opening from most cells.</p>"
+        );
     } else {
         let _ = write!(
             out,

@@ -12,15 +12,27 @@ const BOTTOM: f64 = 40.0;
 pub fn cumulative(values: &[f64], least: f64, name: &str) -> String {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|x| !x.is_nan()).collect();
     sorted.sort_by(f64::total_cmp);
-    let Some(greatest) = sorted.last().copied() else { return String::new() };
+    let Some(greatest) = sorted.last().copied() else {
+        return String::new();
+    };
     let (low, high) = (least.log10(), greatest.max(least * 10.0).log10().ceil());
     let x = |v: f64| LEFT + (v.max(least).log10() - low) / (high - low) * (WIDE - LEFT - 10.0);
     let y = |share: f64| 10.0 + (1.0 - share) * (HIGH - BOTTOM - 10.0);
     let mut path = format!("M{:.1} {:.1}", x(least), y(0.0));
     for (k, v) in sorted.iter().enumerate() {
         // Writing to a string cannot fail.
-        let (before, now) = (k as f64 / sorted.len() as f64, (k + 1) as f64 / sorted.len() as f64);
-        let _ = write!(path, "L{:.1} {:.1}L{:.1} {:.1}", x(*v), y(before), x(*v), y(now));
+        let (before, now) = (
+            k as f64 / sorted.len() as f64,
+            (k + 1) as f64 / sorted.len() as f64,
+        );
+        let _ = write!(
+            path,
+            "L{:.1} {:.1}L{:.1} {:.1}",
+            x(*v),
+            y(before),
+            x(*v),
+            y(now)
+        );
     }
     let _ = write!(path, "L{:.1} {:.1}", WIDE - 10.0, y(1.0));
     let mut marks = String::new();
@@ -51,7 +63,12 @@ pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
     let mut dots = String::new();
     for [a, b] in points {
         // Writing to a string cannot fail.
-        let _ = write!(dots, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\"/>", x(*a), y(*b));
+        let _ = write!(
+            dots,
+            "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\"/>",
+            x(*a),
+            y(*b)
+        );
     }
     let ends = format!(
         "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text><text x=\"{:.1}\" y=\"20\" \
@@ -62,7 +79,11 @@ pub fn scatter(points: &[[f64; 2]], names: [&str; 2]) -> String {
         LEFT - 4.0,
         short(most[1])
     );
-    framed(names[0], names[1], &format!("{ends}<g fill=\"#2f7ed8\" fill-opacity=\"0.5\">{dots}</g>"))
+    framed(
+        names[0],
+        names[1],
+        &format!("{ends}<g fill=\"#2f7ed8\" fill-opacity=\"0.5\">{dots}</g>"),
+    )
 }
 
 /// A plot with its axes.
@@ -96,7 +117,11 @@ pub fn percent(fraction: f64) -> String {
 
 /// A great number with few digits.
 fn short(x: f64) -> String {
-    if x >= 1000.0 { format!("{x:.0}") } else { format!("{x:.3}") }
+    if x >= 1000.0 {
+        format!("{x:.0}")
+    } else {
+        format!("{x:.3}")
+    }
 }
 
 #[cfg(test)]
@@ -106,7 +131,12 @@ mod tests {
     #[test]
     fn fractions_are_short() {
         let all = [0.0, 1e-7, 1e-5, 0.00012, 0.01, 0.25, 1.0].map(percent);
-        assert_eq!(all, ["0 %", "1e-5 %", "0.001 %", "0.012 %", "1.0 %", "25 %", "100 %"]);
+        assert_eq!(
+            all,
+            [
+                "0 %", "1e-5 %", "0.001 %", "0.012 %", "1.0 %", "25 %", "100 %"
+            ]
+        );
     }
 
     #[test]

@@ -15,28 +15,49 @@ use sightline_scene::{Object, Scene, Triangle};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1).map(|a| a.parse::<u32>());
     let mut argument = |default| arguments.next().unwrap_or(Ok(default));
-    let (resolution, cubes, count) = (argument(256)?, argument(20)?.max(1), argument(100_000)?.max(1));
+    let (resolution, cubes, count) = (
+        argument(256)?,
+        argument(20)?.max(1),
+        argument(100_000)?.max(1),
+    );
     let mut random = Hashed::new(&[1]);
     let size = 2.0 * (count as f32).powf(-1.0 / 3.0);
     let triangles: Vec<Triangle> = (0..count)
         .map(|_| {
             let c = random.point();
-            Triangle { v: [0; 3].map(|_| c + (random.point() - 0.5) * size) }
+            Triangle {
+                v: [0; 3].map(|_| c + (random.point() - 0.5) * size),
+            }
         })
         .collect();
     let points: Vec<Vec3> = (0..cubes).map(|_| random.point()).collect();
-    let objects = vec![Object { name: "random".into(), first: 0, count }];
+    let objects = vec![Object {
+        name: "random".into(),
+        first: 0,
+        count,
+    }];
     let scene = Arc::new(Scene::new("random", triangles, objects)?);
     for adapter in adapters() {
         println!("{adapter:?}");
     }
     let start = Instant::now();
-    let spec = CubeSpec { resolution, strata: Strata::Faces, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution,
+        strata: Strata::Faces,
+        keep_pixels: false,
+    };
     let backend = GpuBackend::new(scene, spec, AdapterChoice::AllowSoftware)?;
-    println!("{}: made in {:.0} ms", backend.profile(), start.elapsed().as_secs_f64() * 1e3);
+    println!(
+        "{}: made in {:.0} ms",
+        backend.profile(),
+        start.elapsed().as_secs_f64() * 1e3
+    );
     let stride = (count / 10_000).max(1);
     let superset: Vec<u32> = (0..count).step_by(stride as usize).take(10_000).collect();
-    for (name, superset) in [("whole scene", None), ("superset of 10 000", Some(superset.as_slice()))] {
+    for (name, superset) in [
+        ("whole scene", None),
+        ("superset of 10 000", Some(superset.as_slice())),
+    ] {
         let start = Instant::now();
         let renderer = backend.prepare(superset)?;
         let prepared = start.elapsed().as_secs_f64() * 1e3;
@@ -47,8 +68,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let seen = samples.iter().map(|s| s.ids.len()).sum::<usize>() / samples.len();
         // FNV-1a over ids and strata.
         let words = samples.iter().flat_map(|s| s.ids.iter().chain(&s.strata));
-        let digest =
-            words.fold(0xcbf2_9ce4_8422_2325u64, |h, w| (h ^ u64::from(*w)).wrapping_mul(0x0100_0000_01b3));
+        let digest = words.fold(0xcbf2_9ce4_8422_2325u64, |h, w| {
+            (h ^ u64::from(*w)).wrapping_mul(0x0100_0000_01b3)
+        });
         println!(
             "{name}: prepared in {prepared:.1} ms, {each:.2} ms a cube of {resolution}², {seen} seen, \
                 {digest:016x}"

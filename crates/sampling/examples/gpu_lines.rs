@@ -100,8 +100,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--adapter" => choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?),
-            "--millions" => millions = arguments.next().ok_or("--millions needs a number")?.parse()?,
+            "--adapter" => {
+                choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?)
+            }
+            "--millions" => {
+                millions = arguments
+                    .next()
+                    .ok_or("--millions needs a number")?
+                    .parse()?
+            }
             file => measure(Path::new(file), &choice, millions)?,
         }
     }
@@ -109,9 +116,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 }
 
 #[allow(clippy::print_stdout, reason = "this program's output is its purpose")]
-fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box<dyn std::error::Error>> {
+fn measure(
+    file: &Path,
+    choice: &AdapterChoice,
+    millions: f64,
+) -> Result<(), Box<dyn std::error::Error>> {
     let scene = Arc::new(sightline_scene::load(file)?);
-    let spec = CubeSpec { resolution: 64, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 64,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     println!("{}: {} triangles", file.display(), scene.len());
     let cpu = CpuBackend::new(scene.clone(), spec)?;
     let gpu = GpuBackend::new(scene.clone(), spec, choice.clone())?;
@@ -119,12 +134,19 @@ fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box
     let made = |backend: &dyn Backend| -> Result<(), Box<dyn std::error::Error>> {
         let start = Instant::now();
         backend.lines(LineSet::Blocking, &ids)?;
-        println!("  {}: ready in {:.3} s", backend.profile(), start.elapsed().as_secs_f64());
+        println!(
+            "  {}: ready in {:.3} s",
+            backend.profile(),
+            start.elapsed().as_secs_f64()
+        );
         Ok(())
     };
     made(&cpu)?;
     made(&gpu)?;
-    let (cpu, gpu) = (cpu.lines(LineSet::Blocking, &ids)?, gpu.lines(LineSet::Blocking, &ids)?);
+    let (cpu, gpu) = (
+        cpu.lines(LineSet::Blocking, &ids)?,
+        gpu.lines(LineSet::Blocking, &ids)?,
+    );
     let count = (millions * 1e6) as usize / LANES;
     let mut random = Hashed::new(&[1]);
     for alike in [true, false] {
@@ -137,7 +159,9 @@ fn measure(file: &Path, choice: &AdapterChoice, millions: f64) -> Result<(), Box
         };
         let mut fault = None;
         let embree = rate(&mut a, |packets| {
-            let done = packets.par_chunks_mut(CPU_CALL).try_for_each(|run| trace(&*cpu, run));
+            let done = packets
+                .par_chunks_mut(CPU_CALL)
+                .try_for_each(|run| trace(&*cpu, run));
             fault = fault.take().or(done.err());
         });
         let compute = rate(&mut b, |packets| {

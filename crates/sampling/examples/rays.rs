@@ -94,7 +94,10 @@ impl Ledger for Account {
             ("faces through which a neighbour sees it", of.faces),
             ("triangles beside it that the cell sees", of.beside),
             ("tries before, in all rounds", before.min(9)),
-            ("faces, and tries before (10 × faces + tries)", 10 * of.faces + before.min(9)),
+            (
+                "faces, and tries before (10 × faces + tries)",
+                10 * of.faces + before.min(9),
+            ),
         ] {
             let sum = all.entry(class).or_default();
             sum.tries += 1;
@@ -116,10 +119,15 @@ fn main() -> Answer<()> {
     let cells: [u32; 3] = cells.try_into().map_err(|_| "give cells as 8x8x8")?;
     let target: f64 = target.parse()?;
 
-    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 8,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let backend = CpuBackend::new(Arc::clone(&scene), spec)?;
-    let all: Vec<u32> =
-        (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
+    let all: Vec<u32> = (0..scene.len())
+        .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
+        .collect();
     let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
     let (surface, rows) = (Surface::of(&scene, &all), Rows::triangles(&scene));
     let bounds = scene.bounds();
@@ -154,8 +162,11 @@ fn main() -> Answer<()> {
             print_classes(&locked(&account.classes));
             print_missed(&block, (&scene, &sight, &surface), &account)?;
         } else {
-            let (triangles, cells, seconds) =
-                (scene.len(), block.grid().count(), start.elapsed().as_secs_f64());
+            let (triangles, cells, seconds) = (
+                scene.len(),
+                block.grid().count(),
+                start.elapsed().as_secs_f64(),
+            );
             println!("{triangles} triangles, {cells} cells, target {target}: {seconds:.2} s\n");
             print_spent(&locked(&account.spent));
         }
@@ -171,14 +182,20 @@ fn print_spent(spent: &BTreeMap<(u32, usize), Spent>) {
         let name = ["uniform", "flood", "candidate"][kind];
         let a_find = s.rays as f64 / s.finds.max(1) as f64;
         let share = 100.0 * s.time.as_secs_f64() / whole.as_secs_f64();
-        println!("| {round} | {name} | {} | {} | {a_find:.0} | {share:.1} % |", s.rays, s.finds);
+        println!(
+            "| {round} | {name} | {} | {} | {a_find:.0} | {share:.1} % |",
+            s.rays, s.finds
+        );
     };
     for ((round, kind), s) in spent {
         line(&round.to_string(), *kind, s);
         let sum = &mut sums[*kind];
-        (sum.rays, sum.finds, sum.time) = (sum.rays + s.rays, sum.finds + s.finds, sum.time + s.time);
+        (sum.rays, sum.finds, sum.time) =
+            (sum.rays + s.rays, sum.finds + s.finds, sum.time + s.time);
     }
-    sums.iter().enumerate().for_each(|(kind, s)| line("all", kind, s));
+    sums.iter()
+        .enumerate()
+        .for_each(|(kind, s)| line("all", kind, s));
     println!();
 }
 
@@ -190,7 +207,11 @@ fn print_classes(classes: &Classes) {
             last = by;
         }
         let found = 100.0 * t.found as f64 / t.tries as f64;
-        println!("| {class} | {} | {found:.1} % | {:.2e} |", t.tries, t.gain / t.tries as f64);
+        println!(
+            "| {class} | {} | {found:.1} % | {:.2e} |",
+            t.tries,
+            t.gain / t.tries as f64
+        );
     }
     println!();
 }
@@ -236,43 +257,77 @@ fn print_missed(
                     let faces = (0..6usize).filter(|face| {
                         let mut next = *at;
                         let axis = face / 2;
-                        next[axis] = if face % 2 == 0 { at[axis] + 1 } else { at[axis].wrapping_sub(1) };
+                        next[axis] = if face % 2 == 0 {
+                            at[axis] + 1
+                        } else {
+                            at[axis].wrapping_sub(1)
+                        };
                         grid.has(next) && block.bits().seen(triangle, grid.slot(next))
                     });
-                    let beside = surface.neighbours[triangle as usize].iter().filter(|t| **t != SKY);
+                    let beside = surface.neighbours[triangle as usize]
+                        .iter()
+                        .filter(|t| **t != SKY);
                     let beside = beside.filter(|t| block.bits().seen(**t, slot)).count() as u32;
-                    let tried = locked(&account.tried[cell]).get(&triangle).copied().unwrap_or(0);
-                    *missed.entry([faces.count() as u32, beside, tried.min(9)]).or_default() += 1;
+                    let tried = locked(&account.tried[cell])
+                        .get(&triangle)
+                        .copied()
+                        .unwrap_or(0);
+                    *missed
+                        .entry([faces.count() as u32, beside, tried.min(9)])
+                        .or_default() += 1;
                 }
             }
             Ok(missed)
         })
         .collect();
     let mut all: BTreeMap<Missed, u64> = BTreeMap::new();
-    found?.into_iter().flatten().for_each(|(of, n)| *all.entry(of).or_default() += n);
+    found?
+        .into_iter()
+        .flatten()
+        .for_each(|(of, n)| *all.entry(of).or_default() += n);
     let sum: u64 = all.values().sum();
     let lines = HELD * cells.len() as u64;
     println!(
         "held-out lines: {sum} of {lines} met a triangle outside the set, {:.5} %",
         100.0 * sum as f64 / lines as f64
     );
-    for (k, by) in ["faces through which a neighbour sees it", "triangles beside it that are seen", "tries"]
-        .into_iter()
-        .enumerate()
+    for (k, by) in [
+        "faces through which a neighbour sees it",
+        "triangles beside it that are seen",
+        "tries",
+    ]
+    .into_iter()
+    .enumerate()
     {
         println!("\n| {by} | of what was missed |\n|--:|--:|");
         let mut by_class: BTreeMap<u32, u64> = BTreeMap::new();
-        all.iter().for_each(|(of, n)| *by_class.entry(of[k]).or_default() += n);
+        all.iter()
+            .for_each(|(of, n)| *by_class.entry(of[k]).or_default() += n);
         for (class, n) in by_class {
-            println!("| {class} | {:.1} % |", 100.0 * n as f64 / sum.max(1) as f64);
+            println!(
+                "| {class} | {:.1} % |",
+                100.0 * n as f64 / sum.max(1) as f64
+            );
         }
     }
     let candidates = |of: &Missed| of[0] > 0 && of[1] > 0;
     let share = |test: &dyn Fn(&Missed) -> bool| {
-        100.0 * all.iter().filter(|(of, _)| test(of)).map(|(_, n)| n).sum::<u64>() as f64 / sum.max(1) as f64
+        100.0
+            * all
+                .iter()
+                .filter(|(of, _)| test(of))
+                .map(|(_, n)| n)
+                .sum::<u64>() as f64
+            / sum.max(1) as f64
     };
-    println!("\ncandidates that were tried: {:.1} %", share(&|of| of[2] > 0));
-    println!("candidates that were not tried: {:.1} %", share(&|of| candidates(of) && of[2] == 0));
+    println!(
+        "\ncandidates that were tried: {:.1} %",
+        share(&|of| of[2] > 0)
+    );
+    println!(
+        "candidates that were not tried: {:.1} %",
+        share(&|of| candidates(of) && of[2] == 0)
+    );
     println!(
         "seen by a neighbour, and next to nothing that is seen: {:.1} %",
         share(&|of| of[0] > 0 && of[1] == 0 && of[2] == 0)

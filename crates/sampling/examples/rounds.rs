@@ -48,8 +48,15 @@ type Answer<T> = Result<T, Box<dyn std::error::Error>>;
 /// A pace of four numbers.
 fn paced(text: &str) -> Answer<Pace> {
     let numbers: Vec<f64> = text.split(',').map(str::parse).collect::<Result<_, _>>()?;
-    let [first, coarse, growth, aimed] = numbers[..] else { return Err("--pace needs four numbers".into()) };
-    Ok(Pace { first: first as u32, first_coarse: coarse as u32, growth, aimed: aimed as u64 })
+    let [first, coarse, growth, aimed] = numbers[..] else {
+        return Err("--pace needs four numbers".into());
+    };
+    Ok(Pace {
+        first: first as u32,
+        first_coarse: coarse as u32,
+        growth,
+        aimed: aimed as u64,
+    })
 }
 
 fn main() -> Answer<()> {
@@ -59,11 +66,17 @@ fn main() -> Answer<()> {
     let mut arguments = std::env::args().skip(1);
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
-            "--adapter" => choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?),
+            "--adapter" => {
+                choice = AdapterChoice::Named(arguments.next().ok_or("--adapter needs a name")?)
+            }
             "--no-cpu" => with_cpu = false,
             "--no-gpu" => with_gpu = false,
             "--profile" => profile = true,
-            "--pace" => pace = Some(paced(&arguments.next().ok_or("--pace needs four numbers")?)?),
+            "--pace" => {
+                pace = Some(paced(
+                    &arguments.next().ok_or("--pace needs four numbers")?,
+                )?)
+            }
             _ => rest.push(argument),
         }
     }
@@ -73,11 +86,20 @@ fn main() -> Answer<()> {
     let scene = Arc::new(sightline_scene::load(scene.as_ref())?);
     let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
     let cells: [u32; 3] = cells.try_into().map_err(|_| "give cells as 8x8x8")?;
-    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
-    let all: Vec<u32> =
-        (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
+    let spec = CubeSpec {
+        resolution: 8,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
+    let all: Vec<u32> = (0..scene.len())
+        .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
+        .collect();
     let surface = Surface::of(&scene, &all);
-    println!("{} triangles, {} cells\n", scene.len(), cells.iter().product::<u32>());
+    println!(
+        "{} triangles, {} cells\n",
+        scene.len(),
+        cells.iter().product::<u32>()
+    );
     println!(
         "| backend | target | seconds | million rays | a second | of these uniform, flood, aimed | error | \
          bytes a ray up, down | waits |"
@@ -90,7 +112,10 @@ fn main() -> Answer<()> {
     if with_gpu {
         let start = Instant::now();
         let gpu = GpuBackend::new(Arc::clone(&scene), spec, choice)?;
-        println!("<!-- the adapter is open after {:.3} s -->", start.elapsed().as_secs_f64());
+        println!(
+            "<!-- the adapter is open after {:.3} s -->",
+            start.elapsed().as_secs_f64()
+        );
         backends.push(Box::new(if profile { gpu.measuring() } else { gpu }));
     }
     for backend in &backends {
@@ -105,7 +130,14 @@ fn main() -> Answer<()> {
             start.elapsed().as_secs_f64()
         );
         for target in targets {
-            line(&scene, &surface, (&**backend, &sight), cells, target.parse()?, pace)?;
+            line(
+                &scene,
+                &surface,
+                (&**backend, &sight),
+                cells,
+                target.parse()?,
+                pace,
+            )?;
         }
     }
     Ok(())
@@ -138,7 +170,12 @@ fn sample(
         ledger: None,
     };
     let start = Instant::now();
-    let mut block = Block::new(tools, CellGrid::new(bounds.min, bounds.max, cells), number, |_| u64::MAX);
+    let mut block = Block::new(
+        tools,
+        CellGrid::new(bounds.min, bounds.max, cells),
+        number,
+        |_| u64::MAX,
+    );
     if let Some(pace) = pace {
         block.ask_for_device()?;
         block.set_pace(pace);
@@ -146,15 +183,30 @@ fn sample(
     block.sample(target, &[], Tolerance::Raised)?;
     let seconds = start.elapsed().as_secs_f64();
     let mut rays = [0; 4];
-    block.stats().iter().for_each(|s| rays.iter_mut().zip(s.rays).for_each(|(all, own)| *all += own));
+    block.stats().iter().for_each(|s| {
+        rays.iter_mut()
+            .zip(s.rays)
+            .for_each(|(all, own)| *all += own)
+    });
     let mut times = block.kernel_times();
     times.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
     for t in times {
-        println!("<!-- {:<17} {:>8.1} ms in {} runs -->", t.name, 1e3 * t.seconds, t.runs);
+        println!(
+            "<!-- {:<17} {:>8.1} ms in {} runs -->",
+            t.name,
+            1e3 * t.seconds,
+            t.runs
+        );
     }
     let bus = block.traffic().map_or("host | |".to_owned(), |t| {
         let a_ray = |bytes: u64| bytes as f64 / t.rays as f64;
-        format!("{:.3}, {:.3} | {}, {:.3} s |", a_ray(t.up), a_ray(t.down), t.waits, t.seconds)
+        format!(
+            "{:.3}, {:.3} | {}, {:.3} s |",
+            a_ray(t.up),
+            a_ray(t.down),
+            t.waits,
+            t.seconds
+        )
     });
     Ok((seconds, rays, error(&block, scene, sight)?, bus))
 }
@@ -191,14 +243,16 @@ fn error(block: &Block<'_>, scene: &Scene, sight: &Sight<'_>) -> Answer<f64> {
             let (mut packets, mut passed) = (Vec::new(), Passed::default());
             for (number, at) in some.iter().enumerate() {
                 let (low, size) = grid.cell_box(*at);
-                let mut random = Hashed::new(&[STREAM, u64::from(at[0]), u64::from(at[1]), u64::from(at[2])]);
+                let mut random =
+                    Hashed::new(&[STREAM, u64::from(at[0]), u64::from(at[1]), u64::from(at[2])]);
                 for i in 0..HELD {
                     if i % LANES == 0 {
                         packets.push((number, Packet::default()));
                     }
                     let [forward, right, up] = face_basis((random.bits() % 6) as u32);
-                    let direction =
-                        forward + right * (2.0 * random.unit() - 1.0) + up * (2.0 * random.unit() - 1.0);
+                    let direction = forward
+                        + right * (2.0 * random.unit() - 1.0)
+                        + up * (2.0 * random.unit() - 1.0);
                     let origin = low + size * random.point();
                     if let Some((_, packet)) = packets.last_mut() {
                         packet.push(origin.to_array(), direction.to_array());

@@ -54,7 +54,10 @@ pub fn time(backend: &dyn Backend, lattice: &Lattice) -> Result<Timing, BackendE
     renderer.samples(&points[..1])?;
     let start = Instant::now();
     renderer.samples(&points)?;
-    Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
+    Ok(Timing {
+        profile: backend.profile().to_owned(),
+        per_cube: start.elapsed() / CUBES,
+    })
 }
 
 /// Times `backend` on rounds of sight lines, as the sampler casts them, from a few cells that fill the view
@@ -94,7 +97,10 @@ pub fn time_rounds(
         block.sample(target, &[], Tolerance::Raised)?;
         taken = start.elapsed();
     }
-    Ok(Timing { profile: backend.profile().to_owned(), per_cube: taken / CELLS.iter().product() })
+    Ok(Timing {
+        profile: backend.profile().to_owned(),
+        per_cube: taken / CELLS.iter().product(),
+    })
 }
 
 /// Times `backend` on single sight lines: packets of a cube's directions from the same points, half of them
@@ -118,7 +124,10 @@ pub fn time_lines(
                 for lane in 0..LANES as u32 {
                     let at = |x: u32| (2 * x + 1) as f32 / (4 * SIDE) as f32 - 1.0;
                     let (x, y) = (tile % SIDE * 4 + lane % 4, tile / SIDE * 4 + lane / 4);
-                    packet.push(point.to_array(), (forward + right * at(x) + up * at(y)).to_array());
+                    packet.push(
+                        point.to_array(),
+                        (forward + right * at(x) + up * at(y)).to_array(),
+                    );
                 }
                 packets.push(packet);
             }
@@ -134,5 +143,8 @@ pub fn time_lines(
     both()?;
     let start = Instant::now();
     both()?;
-    Ok(Timing { profile: backend.profile().to_owned(), per_cube: start.elapsed() / CUBES })
+    Ok(Timing {
+        profile: backend.profile().to_owned(),
+        per_cube: start.elapsed() / CUBES,
+    })
 }

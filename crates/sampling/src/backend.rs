@@ -37,7 +37,8 @@ pub trait Backend: Send + Sync {
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device cannot hold the geometry.
-    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
+    fn prepare(&self, superset: Option<&[u32]>)
+    -> Result<Box<dyn CubeRenderer + '_>, BackendError>;
 
     /// Prepares the tracing of sight lines among the triangles `ids` (ascending, the same in every call with
     /// the same set).

@@ -72,7 +72,11 @@ impl Strata {
 pub fn face_basis(face: u32) -> [Vec3; 3] {
     let axis = (face / 2) as usize % 3;
     let unit = |i: usize| Vec3::AXES[i % 3];
-    let forward = if face.is_multiple_of(2) { unit(axis) } else { -unit(axis) };
+    let forward = if face.is_multiple_of(2) {
+        unit(axis)
+    } else {
+        -unit(axis)
+    };
     [forward, unit(axis + 1), unit(axis + 2)]
 }
 
@@ -90,7 +94,9 @@ impl CubeImage {
     pub fn id_along(&self, direction: Vec3) -> u32 {
         let n = self.resolution;
         let ahead = |face: &u32| direction.dot(face_basis(*face)[0]);
-        let face = (0..6).max_by(|a, b| ahead(a).total_cmp(&ahead(b))).unwrap_or(0);
+        let face = (0..6)
+            .max_by(|a, b| ahead(a).total_cmp(&ahead(b)))
+            .unwrap_or(0);
         let [forward, right, up] = face_basis(face);
         let depth = direction.dot(forward);
         let place = |c: f32| (((c / depth + 1.0) * n as f32 / 2.0) as u32).min(n - 1);
@@ -117,7 +123,10 @@ pub fn sample_of_image(image: &CubeImage, strata: Strata, keep_pixels: bool) -> 
         }
     }
     let pixels = keep_pixels.then(|| image.ids.as_slice().into());
-    VisibilitySample { pixels, ..VisibilitySample::from_runs(runs) }
+    VisibilitySample {
+        pixels,
+        ..VisibilitySample::from_runs(runs)
+    }
 }
 
 /// Distance along a face's forward axis below which nothing is seen or blocks: 2⁻⁴⁰ of the scene's largest
@@ -141,12 +150,18 @@ mod tests {
     #[test]
     fn a_direction_through_a_pixel_meets_its_id() {
         let n = 8;
-        let image = CubeImage { resolution: n, ids: (0..6 * n * n).collect() };
+        let image = CubeImage {
+            resolution: n,
+            ids: (0..6 * n * n).collect(),
+        };
         for id in 0..6 * n * n {
             let (face, y, x) = (id / (n * n), id / n % n, id % n);
             let [forward, right, up] = face_basis(face);
             let at = |k: u32| (k as f32 + 0.5) / n as f32 * 2.0 - 1.0;
-            assert_eq!(image.id_along((forward + right * at(x) + up * at(y)) * 3.0), id);
+            assert_eq!(
+                image.id_along((forward + right * at(x) + up * at(y)) * 3.0),
+                id
+            );
         }
     }
 }

@@ -36,7 +36,11 @@ pub fn renderer<'a>(
         return backend.prepare(superset);
     }
     let step = least_step(scene.scene().bounds());
-    Ok(Box::new(Layered { sight: Sight::new(backend, scene.traced())?.up_to(far), spec, step }))
+    Ok(Box::new(Layered {
+        sight: Sight::new(backend, scene.traced())?.up_to(far),
+        spec,
+        step,
+    }))
 }
 
 struct Layered<'a> {
@@ -87,7 +91,10 @@ impl CubeRenderer for Layered<'_> {
                     let (x, y) = (tile % tiles * 4 + lane % 4, tile / tiles * 4 + lane / 4);
                     if x < n && y < n {
                         own[packet.count] = (face * n + y) * n + x;
-                        packet.push(point.to_array(), (forward + right * at(x) + up * at(y)).to_array());
+                        packet.push(
+                            point.to_array(),
+                            (forward + right * at(x) + up * at(y)).to_array(),
+                        );
                     }
                 }
                 packets.push(packet);

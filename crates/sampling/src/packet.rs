@@ -51,7 +51,10 @@ impl Packet {
 
     /// Origin and direction of a lane.
     pub fn ray(&self, lane: usize) -> ([f32; 3], [f32; 3]) {
-        ([0, 1, 2].map(|a| self.origin[a][lane]), [0, 1, 2].map(|a| self.direction[a][lane]))
+        (
+            [0, 1, 2].map(|a| self.origin[a][lane]),
+            [0, 1, 2].map(|a| self.direction[a][lane]),
+        )
     }
 
     /// Length of the direction of a lane.
@@ -66,7 +69,10 @@ impl Packet {
     /// it. The backward ray starts ahead of such a triangle and meets it, and [`Packet::free`] is then empty,
     /// so no line passes through the triangle.
     pub fn reversed(&self, step: f32) -> Self {
-        let mut back = Self { direction: self.direction.map(|axis| axis.map(|x| -x)), ..self.clone() };
+        let mut back = Self {
+            direction: self.direction.map(|axis| axis.map(|x| -x)),
+            ..self.clone()
+        };
         for lane in 0..self.count {
             let ahead = self.advance(lane, step);
             for a in 0..3 {
@@ -78,15 +84,26 @@ impl Packet {
 
     /// Distance from the origin of a lane to the start of its reversed ray, in lengths of the direction.
     pub(crate) fn advance(&self, lane: usize, step: f32) -> f32 {
-        let longest = (0..3).map(|a| self.direction[a][lane].abs()).fold(0.0, f32::max);
-        let largest = (0..3).map(|a| self.origin[a][lane].abs()).fold(0.0, f32::max);
-        if longest > 0.0 { step.max(largest * OVERLAP) / longest } else { 0.0 }
+        let longest = (0..3)
+            .map(|a| self.direction[a][lane].abs())
+            .fold(0.0, f32::max);
+        let largest = (0..3)
+            .map(|a| self.origin[a][lane].abs())
+            .fold(0.0, f32::max);
+        if longest > 0.0 {
+            step.max(largest * OVERLAP) / longest
+        } else {
+            0.0
+        }
     }
 
     /// The free part of a lane's line, as distances from the origin in lengths of the direction. `back` is
     /// the traced packet [`Packet::reversed`] by `step`.
     pub fn free(&self, back: &Self, lane: usize, step: f32) -> (f32, f32) {
-        (self.advance(lane, step) - back.distance[lane], self.distance[lane])
+        (
+            self.advance(lane, step) - back.distance[lane],
+            self.distance[lane],
+        )
     }
 }
 
@@ -118,7 +135,11 @@ pub trait LineTracer: Send + Sync {
     /// # Errors
     /// As [`LineTracer::trace`].
     fn trace_within(&self, packets: &mut [Packet], coherent: bool) -> Result<(), BackendError> {
-        if coherent { self.trace(packets) } else { self.trace_each(packets) }
+        if coherent {
+            self.trace(packets)
+        } else {
+            self.trace_each(packets)
+        }
     }
 
     /// Puts a block on the tracer's device, which then casts whole rounds by itself; `None` when it has no
@@ -126,7 +147,10 @@ pub trait LineTracer: Send + Sync {
     ///
     /// # Errors
     /// As [`LineTracer::trace`].
-    fn rounds<'b>(&'b self, _block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
+    fn rounds<'b>(
+        &'b self,
+        _block: &DeviceBlock<'_>,
+    ) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
         Ok(None)
     }
 }

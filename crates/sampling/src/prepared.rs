@@ -114,10 +114,18 @@ impl PreparedScene {
     /// On a thread of rayon's pool (see the module's documentation).
     pub fn for_lines(&self) -> LineScene<'_> {
         outside_the_pool();
-        let (duplicates, distinct, see_through) = (self.duplicates(), self.distinct(), self.see_through());
+        let (duplicates, distinct, see_through) =
+            (self.duplicates(), self.distinct(), self.see_through());
         let shown = self.shown(distinct, see_through);
         let surface = self.surface.get_or_init(|| Surface::of(&self.scene, shown));
-        LineScene { scene: &self.scene, distinct, see_through, shown, duplicates, surface }
+        LineScene {
+            scene: &self.scene,
+            distinct,
+            see_through,
+            shown,
+            duplicates,
+            surface,
+        }
     }
 
     /// Returns the rows of a table with a row for each triangle.
@@ -144,11 +152,20 @@ impl PreparedScene {
     ///
     /// # Panics
     /// On a thread of rayon's pool (see the module's documentation).
-    #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
+    #[expect(
+        clippy::expect_used,
+        reason = "new() has checked the only thing that can fail"
+    )]
     pub fn for_cubes(&self, solids: bool) -> CubeScene<'_> {
         outside_the_pool();
-        let solids = solids.then(|| self.solids.get_or_init(|| Solids::of(&self.scene).expect(CHECKED)));
-        CubeScene { duplicates: self.duplicates(), solids }
+        let solids = solids.then(|| {
+            self.solids
+                .get_or_init(|| Solids::of(&self.scene).expect(CHECKED))
+        });
+        CubeScene {
+            duplicates: self.duplicates(),
+            solids,
+        }
     }
 
     /// The triangles among which sight lines are traced; computes less than [`Self::for_lines`].
@@ -159,12 +176,22 @@ impl PreparedScene {
         outside_the_pool();
         let (distinct, see_through) = (self.distinct(), self.see_through());
         let (masked, coincident) = self.masked();
-        Traced { scene: &self.scene, distinct, see_through, masked, coincident }
+        Traced {
+            scene: &self.scene,
+            distinct,
+            see_through,
+            masked,
+            coincident,
+        }
     }
 
-    #[expect(clippy::expect_used, reason = "new() has checked the only thing that can fail")]
+    #[expect(
+        clippy::expect_used,
+        reason = "new() has checked the only thing that can fail"
+    )]
     fn classes(&self) -> &[Vec<u32>] {
-        self.classes.get_or_init(|| topology::duplicates(&self.scene).expect(CHECKED))
+        self.classes
+            .get_or_init(|| topology::duplicates(&self.scene).expect(CHECKED))
     }
 
     fn duplicates(&self) -> &[Vec<u32>] {
@@ -174,7 +201,11 @@ impl PreparedScene {
         }
         self.duplicates.get_or_init(|| {
             let of = |kind: Kind, class: &[u32]| -> Vec<u32> {
-                class.iter().copied().filter(|t| kinds.kind(*t) == kind).collect()
+                class
+                    .iter()
+                    .copied()
+                    .filter(|t| kinds.kind(*t) == kind)
+                    .collect()
             };
             let classes = self.classes().iter();
             let parts = classes.flat_map(|c| [of(Kind::Opaque, c), of(Kind::SeeThrough, c)]);
@@ -185,14 +216,16 @@ impl PreparedScene {
 
     fn distinct(&self) -> &[u32] {
         // An occluder-only triangle in the place of an opaque one must not hide it.
-        self.distinct.get_or_init(|| self.one_of_each(&[Kind::Opaque, Kind::OccluderOnly]))
+        self.distinct
+            .get_or_init(|| self.one_of_each(&[Kind::Opaque, Kind::OccluderOnly]))
     }
 
     fn see_through(&self) -> &[u32] {
-        self.see_through.get_or_init(|| match self.scene.kinds().all_opaque() {
-            true => Vec::new(),
-            false => self.one_of_each(&[Kind::SeeThrough]),
-        })
+        self.see_through
+            .get_or_init(|| match self.scene.kinds().all_opaque() {
+                true => Vec::new(),
+                false => self.one_of_each(&[Kind::SeeThrough]),
+            })
     }
 
     /// See [`Traced::masked`] and [`Traced::coincident`].
@@ -203,9 +236,18 @@ impl PreparedScene {
                 return Default::default();
             }
             let of = |class: &Vec<u32>| -> Vec<u32> {
-                class.iter().copied().filter(|t| kinds.kind(*t) == Kind::Masked).collect()
+                class
+                    .iter()
+                    .copied()
+                    .filter(|t| kinds.kind(*t) == Kind::Masked)
+                    .collect()
             };
-            let mut classes: Vec<Vec<u32>> = self.classes().iter().map(of).filter(|c| c.len() > 1).collect();
+            let mut classes: Vec<Vec<u32>> = self
+                .classes()
+                .iter()
+                .map(of)
+                .filter(|c| c.len() > 1)
+                .collect();
             classes.iter_mut().for_each(|c| c.sort_unstable());
             classes.sort_unstable();
             (self.one_of_each(&[Kind::Masked]), classes)
@@ -219,10 +261,16 @@ impl PreparedScene {
         }
         self.shown.get_or_init(|| {
             let shows = |t: &u32| kinds.kind(*t).shows();
-            let mut shown: Vec<u32> = distinct.iter().chain(see_through).copied().filter(shows).collect();
+            let mut shown: Vec<u32> = distinct
+                .iter()
+                .chain(see_through)
+                .copied()
+                .filter(shows)
+                .collect();
             // Of masked triangles in one place each has its own holes.
             shown.extend((0..self.scene.len()).filter(|t| {
-                kinds.kind(*t) == Kind::Masked && !self.scene.triangles()[*t as usize].is_degenerate()
+                kinds.kind(*t) == Kind::Masked
+                    && !self.scene.triangles()[*t as usize].is_degenerate()
             }));
             shown.sort_unstable();
             shown
@@ -247,15 +295,25 @@ impl PreparedScene {
         for class in self.classes() {
             let first = [true, false].map(|side| {
                 let met = class.iter().copied().filter(|t| rank(*t).is_some());
-                let met = met.map(|t| (t, front(&self.scene, t))).filter(|(_, f)| *f != Some(!side));
+                let met = met
+                    .map(|t| (t, front(&self.scene, t)))
+                    .filter(|(_, f)| *f != Some(!side));
                 // One with both sides spares the other side's.
-                met.min_by_key(|(t, front)| (rank(*t), front.is_some(), *t)).map(|(t, _)| t)
+                met.min_by_key(|(t, front)| (rank(*t), front.is_some(), *t))
+                    .map(|(t, _)| t)
             });
-            class.iter().filter(|t| !first.contains(&Some(**t))).for_each(|t| kept[*t as usize] = false);
+            class
+                .iter()
+                .filter(|t| !first.contains(&Some(**t)))
+                .for_each(|t| kept[*t as usize] = false);
         }
         let area = |id: &u32| !self.scene.triangles()[*id as usize].is_degenerate();
         let of_these = |id: &u32| kept[*id as usize] && rank(*id).is_some();
-        (0..self.scene.len()).into_par_iter().filter(of_these).filter(area).collect()
+        (0..self.scene.len())
+            .into_par_iter()
+            .filter(of_these)
+            .filter(area)
+            .collect()
     }
 }
 
@@ -263,9 +321,15 @@ impl PreparedScene {
 /// none when it is met from both.
 fn front(scene: &Scene, triangle: u32) -> Option<bool> {
     let side = scene.sides().side(triangle);
-    let [a, b, c] = scene.triangles()[triangle as usize].v.map(topology::position);
+    let [a, b, c] = scene.triangles()[triangle as usize]
+        .v
+        .map(topology::position);
     // Vertices that are sorted by position run one way around, up to the choice of the first.
-    let sorted = [a < b, b < c, c < a].into_iter().filter(|ascends| *ascends).count() == 2;
+    let sorted = [a < b, b < c, c < a]
+        .into_iter()
+        .filter(|ascends| *ascends)
+        .count()
+        == 2;
     (side != Side::Both).then_some(sorted == (side == Side::CounterClockwise))
 }
 
@@ -280,7 +344,10 @@ fn place_of(granularity: Granularity) -> usize {
 
 /// Refuses threads of rayon's pool.
 pub(crate) fn outside_the_pool() {
-    assert!(rayon::current_thread_index().is_none(), "a thread of the pool could wait for itself here");
+    assert!(
+        rayon::current_thread_index().is_none(),
+        "a thread of the pool could wait for itself here"
+    );
 }
 
 #[cfg(test)]
@@ -291,10 +358,19 @@ mod tests {
     use super::*;
 
     fn scene() -> PreparedScene {
-        let one = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
+        let one = Triangle {
+            v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+        };
         let flat = Triangle { v: [Vec3::ZERO; 3] };
-        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 3 }];
-        PreparedScene::new(Arc::new(Scene::new("test", vec![one, flat, one], objects).unwrap())).unwrap()
+        let objects = vec![Object {
+            name: "all".to_owned(),
+            first: 0,
+            count: 3,
+        }];
+        PreparedScene::new(Arc::new(
+            Scene::new("test", vec![one, flat, one], objects).unwrap(),
+        ))
+        .unwrap()
     }
 
     #[test]
@@ -309,11 +385,15 @@ mod tests {
     #[test]
     fn a_thread_of_the_pool_gets_no_facts() {
         let scene = scene();
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let uses: [&(dyn Fn() -> usize + Sync); 3] =
-            [&|| scene.for_lines().distinct.len(), &|| scene.for_cubes(true).duplicates.len(), &|| {
-                scene.traced().distinct.len()
-            }];
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .build()
+            .unwrap();
+        let uses: [&(dyn Fn() -> usize + Sync); 3] = [
+            &|| scene.for_lines().distinct.len(),
+            &|| scene.for_cubes(true).duplicates.len(),
+            &|| scene.traced().distinct.len(),
+        ];
         for one in uses {
             assert!(one() > 0);
             let refused = std::panic::AssertUnwindSafe(|| pool.install(one));

@@ -16,7 +16,11 @@ pub struct Reducer {
 impl Reducer {
     /// For ids below `triangles`.
     pub fn new(triangles: usize) -> Self {
-        Self { masks: vec![0; triangles], counts: vec![0; triangles], seen: Vec::new() }
+        Self {
+            masks: vec![0; triangles],
+            counts: vec![0; triangles],
+            seen: Vec::new(),
+        }
     }
 
     /// Reduces `image`, whose ids must be below the size given to [`Reducer::new`]. Pixels are not kept.
@@ -50,7 +54,9 @@ impl Reducer {
         let mut best = 0;
         for id in self.seen.drain(..) {
             sample.ids.push(id);
-            sample.strata.push(std::mem::take(&mut self.masks[id as usize]));
+            sample
+                .strata
+                .push(std::mem::take(&mut self.masks[id as usize]));
             let count = std::mem::take(&mut self.counts[id as usize]);
             if count > best {
                 best = count;

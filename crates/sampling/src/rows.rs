@@ -32,23 +32,35 @@ const NONE: u32 = 0;
 impl Rows {
     /// Makes a row for each triangle of a scene, where items are triangles.
     pub fn triangles(scene: &Scene) -> Self {
-        Self { count: scene.len(), ..Self::default() }
+        Self {
+            count: scene.len(),
+            ..Self::default()
+        }
     }
 
     /// Makes a row for each triangle of a scene, where items are of this granularity.
     pub fn fine(scene: &Scene, granularity: Granularity) -> Self {
-        let Some((items, count)) = items(scene, granularity) else { return Self::triangles(scene) };
+        let Some((items, count)) = items(scene, granularity) else {
+            return Self::triangles(scene);
+        };
         let mut members = vec![Vec::new(); count as usize];
         for (triangle, item) in (0..).zip(&items) {
             members[*item as usize].push(triangle);
         }
-        Self { items, count, members, ..Self::default() }
+        Self {
+            items,
+            count,
+            members,
+            ..Self::default()
+        }
     }
 
     /// Makes a row for each item of a scene. `duplicates` are the classes of triangles with the same three
     /// vertices.
     pub fn of_items(scene: &Scene, granularity: Granularity, duplicates: &[Vec<u32>]) -> Self {
-        let Some((items, count)) = items(scene, granularity) else { return Self::triangles(scene) };
+        let Some((items, count)) = items(scene, granularity) else {
+            return Self::triangles(scene);
+        };
         let mut of = items.clone();
         let mut shared = Vec::new();
         for class in duplicates {
@@ -56,11 +68,19 @@ impl Rows {
             with.sort_unstable();
             with.dedup();
             if with.len() > 1 {
-                class.iter().for_each(|t| of[*t as usize] = count + shared.len() as u32);
+                class
+                    .iter()
+                    .for_each(|t| of[*t as usize] = count + shared.len() as u32);
                 shared.push(with);
             }
         }
-        Self { of, items, count, shared, ..Self::default() }
+        Self {
+            of,
+            items,
+            count,
+            shared,
+            ..Self::default()
+        }
     }
 
     /// Returns the row of each triangle; empty when a triangle's row is its id.
@@ -70,7 +90,11 @@ impl Rows {
 
     /// Returns the item of a triangle that can be visible.
     pub fn item(&self, triangle: u32) -> u32 {
-        if self.items.is_empty() { triangle } else { self.items[triangle as usize] }
+        if self.items.is_empty() {
+            triangle
+        } else {
+            self.items[triangle as usize]
+        }
     }
 
     /// Returns the number of rows.
@@ -122,7 +146,9 @@ fn items(scene: &Scene, granularity: Granularity) -> Option<(Vec<u32>, u32)> {
         Granularity::Clusters => {
             let all = clusters(scene);
             for (number, cluster) in all.iter().enumerate() {
-                cluster.iter().for_each(|t| items[*t as usize] = number as u32);
+                cluster
+                    .iter()
+                    .for_each(|t| items[*t as usize] = number as u32);
             }
             all.len()
         }

@@ -35,7 +35,9 @@ pub fn spread3(i: u64, shift: [f32; 3]) -> [f32; 3] {
     /// Fractions of 2³² whose multiples spread most evenly in three dimensions.
     const STEP: [u32; 3] = [3_518_319_155, 2_882_110_345, 2_360_945_575];
     [0, 1, 2].map(|a| {
-        let t = (i as u32).wrapping_mul(STEP[a]).wrapping_add((f64::from(shift[a]) * 4_294_967_296.0) as u32);
+        let t = (i as u32)
+            .wrapping_mul(STEP[a])
+            .wrapping_add((f64::from(shift[a]) * 4_294_967_296.0) as u32);
         (t >> 8) as f32 / (1u32 << 24) as f32
     })
 }
@@ -47,10 +49,20 @@ mod tests {
     #[test]
     fn hashed_streams_are_as_in_every_version() {
         let mut none = Hashed::new(&[]);
-        assert_eq!([none.bits(), none.bits()], [0x6e78_9e6a_a1b9_65f4, 0x06c4_5d18_8009_454f]);
+        assert_eq!(
+            [none.bits(), none.bits()],
+            [0x6e78_9e6a_a1b9_65f4, 0x06c4_5d18_8009_454f]
+        );
         let mut three = Hashed::new(&[1, 2, 3]);
-        let expected = [0x5bc5_81b0_4a97_c4df, 0x9c4d_6541_405d_32d6, 0x4433_34da_c5d2_f022];
+        let expected = [
+            0x5bc5_81b0_4a97_c4df,
+            0x9c4d_6541_405d_32d6,
+            0x4433_34da_c5d2_f022,
+        ];
         assert_eq!([three.bits(), three.bits(), three.bits()], expected);
-        assert_eq!(Hashed::new(&[1, 2, 3]).unit(), 0x005b_c581 as f32 / 16_777_216.0);
+        assert_eq!(
+            Hashed::new(&[1, 2, 3]).unit(),
+            0x005b_c581 as f32 / 16_777_216.0
+        );
     }
 }

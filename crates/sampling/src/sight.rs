@@ -36,7 +36,11 @@ impl Passed {
     }
 
     /// The same with their distances from the line's origin, in lengths of its direction.
-    pub fn on_at(&self, packet: usize, lane: usize) -> impl Iterator<Item = (u32, f32)> + Clone + use<'_> {
+    pub fn on_at(
+        &self,
+        packet: usize,
+        lane: usize,
+    ) -> impl Iterator<Item = (u32, f32)> + Clone + use<'_> {
         let line = packet * LANES + lane;
         let range = match self.starts.get(line..line + 2) {
             Some([from, to]) => *from as usize..*to as usize,
@@ -55,7 +59,10 @@ impl Passed {
     #[inline]
     pub fn each_on_both(&self, halves: [usize; 2], lane: usize, mut each: impl FnMut(u32)) {
         if !self.is_empty() {
-            halves.into_iter().flat_map(|packet| self.on(packet, lane)).for_each(&mut each);
+            halves
+                .into_iter()
+                .flat_map(|packet| self.on(packet, lane))
+                .for_each(&mut each);
         }
     }
 }
@@ -99,7 +106,10 @@ struct Masked<'a> {
 impl Masked<'_> {
     /// The masked triangles in the place of `triangle`, itself included.
     fn class<'b>(&'b self, triangle: &'b u32) -> &'b [u32] {
-        match self.coincident.binary_search_by_key(triangle, |class| class[0]) {
+        match self
+            .coincident
+            .binary_search_by_key(triangle, |class| class[0])
+        {
             Ok(at) => &self.coincident[at],
             Err(_) => std::slice::from_ref(triangle),
         }
@@ -141,7 +151,14 @@ impl<'a> Sight<'a> {
         };
         let one_way = !scene.scene.sides().are_both();
         let kinds = scene.scene.kinds().by_triangle();
-        Ok(Self { blocking, see_through, masked, kinds, one_way, far: f32::INFINITY })
+        Ok(Self {
+            blocking,
+            see_through,
+            masked,
+            kinds,
+            one_way,
+            far: f32::INFINITY,
+        })
     }
 
     /// A tracer of opaque triangles.
@@ -159,7 +176,10 @@ impl<'a> Sight<'a> {
     /// The same, with lines that end at a distance from their origin, in world units.
     #[must_use]
     pub fn up_to(self, far: Option<f64>) -> Self {
-        Self { far: far.map_or(f32::INFINITY, |far| far as f32), ..self }
+        Self {
+            far: far.map_or(f32::INFINITY, |far| far as f32),
+            ..self
+        }
     }
 
     /// The distance at which lines end; infinite when they do not.
@@ -177,7 +197,10 @@ impl<'a> Sight<'a> {
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
-    pub fn rounds(&self, block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + '_>>, BackendError> {
+    pub fn rounds(
+        &self,
+        block: &DeviceBlock<'_>,
+    ) -> Result<Option<Box<dyn Rounds + '_>>, BackendError> {
         match &self.see_through {
             SeeThrough::Absent if self.masked.is_none() && self.kinds.is_empty() => {
                 self.blocking.rounds(block)
@@ -198,7 +221,12 @@ impl<'a> Sight<'a> {
     ///
     /// # Errors
     /// [`BackendError::Failed`] when the device does.
-    pub fn trace(&self, packets: &mut [Packet], passed: &mut Passed, step: f32) -> Result<(), BackendError> {
+    pub fn trace(
+        &self,
+        packets: &mut [Packet],
+        passed: &mut Passed,
+        step: f32,
+    ) -> Result<(), BackendError> {
         self.block(packets, passed, true)?;
         self.pass(packets, passed, step, true)
     }
@@ -218,7 +246,12 @@ impl<'a> Sight<'a> {
     }
 
     /// Finds where each line ends, and the see-through triangles before that if both are found together.
-    fn block(&self, packets: &mut [Packet], passed: &mut Passed, coherent: bool) -> Result<(), BackendError> {
+    fn block(
+        &self,
+        packets: &mut [Packet],
+        passed: &mut Passed,
+        coherent: bool,
+    ) -> Result<(), BackendError> {
         passed.found.clear();
         passed.starts.clear();
         let is_bounded = self.far < f32::INFINITY;
@@ -232,7 +265,9 @@ impl<'a> Sight<'a> {
                 tracer.trace_passing(packets, coherent, &mut passed.found)?;
             }
             (SeeThrough::Together(tracer), false) => {
-                packets.iter_mut().for_each(|p| p.distance = [f32::INFINITY; LANES]);
+                packets
+                    .iter_mut()
+                    .for_each(|p| p.distance = [f32::INFINITY; LANES]);
                 tracer.trace_passing(packets, coherent, &mut passed.found)?;
             }
             (_, true) => self.blocking.trace_within(packets, coherent)?,
@@ -267,28 +302,45 @@ impl<'a> Sight<'a> {
         // Masked triangles that are shown at the end of a line, beside the one at which it ends.
         let mut beside: Vec<(u32, u32, f32)> = Vec::new();
         if let Some(masked) = &self.masked {
-            search(&*masked.tracer, packets, &mut passed.probes, step, coherent, |packet, lane, met| {
-                let (origin, direction) = packet.ray(lane);
-                let class = masked.class(&met.triangle).iter().copied();
-                let mut closed = class.filter(|t| masked.scene.mask_blocks(*t, origin, direction));
-                let Some(first) = closed.next() else { return true };
-                if met.after >= packet.distance[lane] {
-                    // In the plane of the triangle at the end, like a poster on a wall: both are shown.
-                    beside.push((met.line, first, met.at));
-                } else {
-                    packet.distance[lane] = met.at;
-                    packet.triangle[lane] = first;
-                }
-                beside.extend(closed.map(|t| (met.line, t, met.at)));
-                false
-            })?;
+            search(
+                &*masked.tracer,
+                packets,
+                &mut passed.probes,
+                step,
+                coherent,
+                |packet, lane, met| {
+                    let (origin, direction) = packet.ray(lane);
+                    let class = masked.class(&met.triangle).iter().copied();
+                    let mut closed =
+                        class.filter(|t| masked.scene.mask_blocks(*t, origin, direction));
+                    let Some(first) = closed.next() else {
+                        return true;
+                    };
+                    if met.after >= packet.distance[lane] {
+                        // In the plane of the triangle at the end, like a poster on a wall: both are shown.
+                        beside.push((met.line, first, met.at));
+                    } else {
+                        packet.distance[lane] = met.at;
+                        packet.triangle[lane] = first;
+                    }
+                    beside.extend(closed.map(|t| (met.line, t, met.at)));
+                    false
+                },
+            )?;
         }
         let found = &mut passed.found;
         if let SeeThrough::After(tracer) = &self.see_through {
-            search(&**tracer, packets, &mut passed.probes, step, coherent, |_, _, met| {
-                found.push((met.line, met.triangle, met.at));
-                true
-            })?;
+            search(
+                &**tracer,
+                packets,
+                &mut passed.probes,
+                step,
+                coherent,
+                |_, _, met| {
+                    found.push((met.line, met.triangle, met.at));
+                    true
+                },
+            )?;
         }
         if let SeeThrough::Together(_) = &self.see_through {
             if self.masked.is_some() {
@@ -296,7 +348,9 @@ impl<'a> Sight<'a> {
                 let end = |line: usize| packets[line / LANES].distance[line % LANES];
                 found.retain(|f| f.2 <= end(f.0 as usize));
             }
-            found.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.2.total_cmp(&b.2)).then(a.1.cmp(&b.1)));
+            found.sort_unstable_by(|a, b| {
+                a.0.cmp(&b.0).then(a.2.total_cmp(&b.2)).then(a.1.cmp(&b.1))
+            });
             found.dedup_by_key(|f| (f.0, f.1));
         }
         let is_sorted = matches!(self.see_through, SeeThrough::Together(_)) && beside.is_empty();
@@ -342,9 +396,15 @@ fn search(
     // Lines that have found one, in the order of their probes, and how far along the line each probe begins.
     // Most lines find none.
     let hit = |probes: &[Packet], place: &(usize, usize)| probes[place.0].triangle[place.1] != SKY;
-    let lanes = packets.iter().enumerate().flat_map(|(p, k)| (0..k.count).map(move |l| (p, l)));
+    let lanes = packets
+        .iter()
+        .enumerate()
+        .flat_map(|(p, k)| (0..k.count).map(move |l| (p, l)));
     let mut places: Vec<(usize, usize)> = lanes.filter(|at| hit(probes, at)).collect();
-    let mut open: Vec<(u32, f32)> = places.iter().map(|(p, l)| ((p * LANES + l) as u32, 0.0)).collect();
+    let mut open: Vec<(u32, f32)> = places
+        .iter()
+        .map(|(p, l)| ((p * LANES + l) as u32, 0.0))
+        .collect();
     while !open.is_empty() {
         let mut next = Vec::new();
         for ((line, start), (p, l)) in open.iter().zip(&places) {
@@ -359,7 +419,16 @@ fn search(
             hit.push([0, 1, 2].map(|a| origin[a] + direction[a] * at), direction);
             // One unit in the last place at least, so that the search ends.
             let after = (at + hit.advance(0, step)).max(at.next_up());
-            let goes_on = meet(packet, lane, Met { line: *line, triangle, at, after });
+            let goes_on = meet(
+                packet,
+                lane,
+                Met {
+                    line: *line,
+                    triangle,
+                    at,
+                    after,
+                },
+            );
             if goes_on && after.is_finite() && after < packet.distance[lane] {
                 next.push((*line, after));
             }
@@ -377,7 +446,10 @@ fn search(
             // Up to the end of the line.
             let end = packets[*line as usize / LANES].distance[*line as usize % LANES];
             probe.distance[probe.count] = end - after;
-            probe.push([0, 1, 2].map(|a| origin[a] + direction[a] * after), direction);
+            probe.push(
+                [0, 1, 2].map(|a| origin[a] + direction[a] * after),
+                direction,
+            );
         }
         open = next;
         tracer.trace_within(probes, false)?;

@@ -25,7 +25,8 @@ impl Surface {
     /// Analyses the triangles `ids` of `scene`. These are the triangles that lines can meet, so no neighbour
     /// is a duplicate, which no line meets. Two vertices are the same if their coordinates are, bit for bit.
     pub fn of(scene: &Scene, ids: &[u32]) -> Self {
-        let (mut neighbours, morton) = rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
+        let (mut neighbours, morton) =
+            rayon::join(|| neighbours(scene, ids), || morton(scene, ids));
         stand_ins(scene, &morton, &mut neighbours);
         Self { neighbours, morton }
     }
@@ -37,13 +38,19 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
     // same hash would only make the sampler aim at the wrong neighbour.
     let end = |v: Vec3| hash(position(v));
     let mut edges = vec![(0u64, 0u32); 3 * ids.len()];
-    edges.par_chunks_exact_mut(3).zip(ids).for_each(|(own, id)| {
-        let ends = all[*id as usize].v.map(end);
-        for (k, edge) in own.iter_mut().enumerate() {
-            let (a, b) = (ends[k], ends[(k + 1) % 3]);
-            *edge = (mix(a ^ b).wrapping_add(a.wrapping_add(b)), 3 * id + k as u32);
-        }
-    });
+    edges
+        .par_chunks_exact_mut(3)
+        .zip(ids)
+        .for_each(|(own, id)| {
+            let ends = all[*id as usize].v.map(end);
+            for (k, edge) in own.iter_mut().enumerate() {
+                let (a, b) = (ends[k], ends[(k + 1) % 3]);
+                *edge = (
+                    mix(a ^ b).wrapping_add(a.wrapping_add(b)),
+                    3 * id + k as u32,
+                );
+            }
+        });
     edges.par_sort_unstable();
     // Each edge is in one group, and so each place is written once.
     let mut places: Vec<AtomicU32> = Vec::new();
@@ -56,7 +63,10 @@ fn neighbours(scene: &Scene, ids: &[u32]) -> Vec<[u32; 3]> {
             }
         }
     });
-    places.par_chunks_exact(3).map(|own| [0, 1, 2].map(|k: usize| own[k].load(Relaxed))).collect()
+    places
+        .par_chunks_exact(3)
+        .map(|own| [0, 1, 2].map(|k: usize| own[k].load(Relaxed)))
+        .collect()
 }
 
 /// Gives each edge without another triangle a triangle close by in Morton order: leaves of a tree, or walls
@@ -70,22 +80,31 @@ fn stand_ins(scene: &Scene, morton: &[u32], neighbours: &mut [[u32; 3]]) {
     const NEAR: f32 = 16.0;
     let v = |t: u32| scene.triangles()[t as usize].v;
     let centre = |t: u32| v(t).iter().sum::<Vec3>() / 3.0;
-    let size = |t: u32| v(t)[0].distance_squared(v(t)[1]).max(v(t)[0].distance_squared(v(t)[2]));
+    let size = |t: u32| {
+        v(t)[0]
+            .distance_squared(v(t)[1])
+            .max(v(t)[0].distance_squared(v(t)[2]))
+    };
     let before = &*neighbours;
     let with_stand_ins: Vec<[u32; 3]> = (0..morton.len())
         .into_par_iter()
         .map(|place| {
             let t = morton[place];
             let mut own = before[t as usize];
-            for (edge, step) in
-                STEPS.into_iter().enumerate().filter(|(edge, _)| before[t as usize][*edge] == SKY)
+            for (edge, step) in STEPS
+                .into_iter()
+                .enumerate()
+                .filter(|(edge, _)| before[t as usize][*edge] == SKY)
             {
-                let places = (0..LOOKS as isize).map(|look| place as isize + step + look * step.signum());
+                let places =
+                    (0..LOOKS as isize).map(|look| place as isize + step + look * step.signum());
                 let next = places
                     .filter_map(|p| usize::try_from(p).ok().and_then(|p| morton.get(p)))
                     .find(|next| !own.contains(next));
                 own[edge] = next
-                    .filter(|n| centre(**n).distance_squared(centre(t)) <= NEAR * size(t).max(size(**n)))
+                    .filter(|n| {
+                        centre(**n).distance_squared(centre(t)) <= NEAR * size(t).max(size(**n))
+                    })
                     .map_or(SKY, |n| *n);
             }
             own
@@ -136,13 +155,21 @@ mod tests {
         let at = |x: f32| {
             let p = |u: f32, v: f32| Vec3::new(x + u, v, 0.0);
             [
-                Triangle { v: [p(0.0, 0.0), p(1.0, 0.0), p(0.0, 1.0)] },
-                Triangle { v: [p(1.0, 0.0), p(1.0, 1.0), p(0.0, 1.0)] },
+                Triangle {
+                    v: [p(0.0, 0.0), p(1.0, 0.0), p(0.0, 1.0)],
+                },
+                Triangle {
+                    v: [p(1.0, 0.0), p(1.0, 1.0), p(0.0, 1.0)],
+                },
             ]
         };
         // Two squares of two triangles each near each other, and one triangle far away.
         let triangles = [at(0.0), at(2.0), at(1000.0)].concat()[..5].to_vec();
-        let objects = vec![Object { name: "all".to_owned(), first: 0, count: 5 }];
+        let objects = vec![Object {
+            name: "all".to_owned(),
+            first: 0,
+            count: 5,
+        }];
         let scene = Scene::new("test", triangles, objects).unwrap();
         let surface = Surface::of(&scene, &[0, 1, 2, 3, 4]);
         for (t, own) in surface.neighbours.iter().enumerate() {
@@ -151,8 +178,12 @@ mod tests {
         // Across the diagonal v1v2 of the first, v2v0 of the second.
         assert_eq!([surface.neighbours[0][1], surface.neighbours[1][2]], [1, 0]);
         assert_eq!([surface.neighbours[2][1], surface.neighbours[3][2]], [3, 2]);
-        let stand_ins =
-            |t: usize| surface.neighbours[t].iter().filter(|n| **n != SKY && **n / 2 != t as u32 / 2).count();
+        let stand_ins = |t: usize| {
+            surface.neighbours[t]
+                .iter()
+                .filter(|n| **n != SKY && **n / 2 != t as u32 / 2)
+                .count()
+        };
         assert!((0..4).all(|t| stand_ins(t) > 0), "{:?}", surface.neighbours);
         assert_eq!(surface.neighbours[4], [SKY; 3]);
         assert!(surface.neighbours[..4].iter().all(|n| !n.contains(&4)));

@@ -40,7 +40,13 @@ pub fn run(
         }
         Sampler::Lines | Sampler::Guided => {
             let (sets, rendered) = lines::run(job, tile, watcher)?;
-            Ok((TileOutput::Cells(sets), TileCounters { rendered, ..TileCounters::default() }))
+            Ok((
+                TileOutput::Cells(sets),
+                TileCounters {
+                    rendered,
+                    ..TileCounters::default()
+                },
+            ))
         }
     }
 }

@@ -2,7 +2,12 @@
 //!
 //! Without a Vulkan adapter each test prints one line and returns; under `CI` it fails.
 
-#![allow(clippy::print_stdout, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, which may")]
+#![allow(
+    clippy::print_stdout,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "helpers of tests, which may"
+)]
 
 use std::sync::Arc;
 
@@ -14,12 +19,25 @@ use sightline_sampling::{Backend, BackendError, CubeImage, CubeSpec, SKY, Strata
 use sightline_scene::{Object, Scene, Triangle};
 
 fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
-    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
+    let objects = vec![Object {
+        name: "test".into(),
+        first: 0,
+        count: triangles.len() as u32,
+    }];
     Arc::new(Scene::new("test", triangles, objects).expect("a valid scene"))
 }
 
-fn backend(scene: &Arc<Scene>, resolution: u32, strata: Strata, keep_pixels: bool) -> Option<GpuBackend> {
-    let spec = CubeSpec { resolution, strata, keep_pixels };
+fn backend(
+    scene: &Arc<Scene>,
+    resolution: u32,
+    strata: Strata,
+    keep_pixels: bool,
+) -> Option<GpuBackend> {
+    let spec = CubeSpec {
+        resolution,
+        strata,
+        keep_pixels,
+    };
     match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => {
             println!("adapter: {}", backend.profile());
@@ -34,7 +52,9 @@ fn backend(scene: &Arc<Scene>, resolution: u32, strata: Strata, keep_pixels: boo
 }
 
 fn triangle(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {
-    Triangle { v: [a.into(), b.into(), c.into()] }
+    Triangle {
+        v: [a.into(), b.into(), c.into()],
+    }
 }
 
 /// The cube of half side `h` around `centre`, with two triangles for each side. Side s, numbered as the faces
@@ -44,7 +64,12 @@ fn room(centre: Vec3, h: f32) -> Vec<Triangle> {
         .flat_map(|face| {
             let [f, r, u] = face_basis(face).map(|v| v * h);
             let corner = |a: f32, b: f32| centre + f + r * a + u * b;
-            let [a, b, c, d] = [corner(-1., -1.), corner(1., -1.), corner(1., 1.), corner(-1., 1.)];
+            let [a, b, c, d] = [
+                corner(-1., -1.),
+                corner(1., -1.),
+                corner(1., 1.),
+                corner(-1., 1.),
+            ];
             [Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]
         })
         .collect()
@@ -55,7 +80,9 @@ fn triangles(random: &mut Hashed, count: usize, size: f32) -> Vec<Triangle> {
     (0..count)
         .map(|_| {
             let c = random.point();
-            Triangle { v: [0; 3].map(|_| c + (random.point() - 0.5) * size) }
+            Triangle {
+                v: [0; 3].map(|_| c + (random.point() - 0.5) * size),
+            }
         })
         .collect()
 }
@@ -100,7 +127,16 @@ fn differing(triangles: &[Triangle], eye: Vec3, image: &CubeImage, slack: f64) -
     for (i, &seen) in (0u32..).zip(&image.ids) {
         let (face, x, y) = (i / (n * n), i % n, i / n % n);
         let at = |dx: f64, dy: f64| {
-            cast(triangles, eye, direction(face, f64::from(x) + dx * slack, f64::from(y) + dy * slack, n))
+            cast(
+                triangles,
+                eye,
+                direction(
+                    face,
+                    f64::from(x) + dx * slack,
+                    f64::from(y) + dy * slack,
+                    n,
+                ),
+            )
         };
         if at(0.0, 0.0) == seen {
             continue;
@@ -110,7 +146,11 @@ fn differing(triangles: &[Triangle], eye: Vec3, image: &CubeImage, slack: f64) -
             let (s, c) = (f64::from(k) * std::f64::consts::TAU / 16.0).sin_cos();
             [0.25, 0.5, 1.0].iter().any(|r| at(c * r, s * r) == seen)
         });
-        assert!(near, "face {face}, pixel ({x}, {y}) shows {seen}, the ray meets {}", at(0.0, 0.0));
+        assert!(
+            near,
+            "face {face}, pixel ({x}, {y}) shows {seen}, the ray meets {}",
+            at(0.0, 0.0)
+        );
     }
     wrong
 }
@@ -118,16 +158,26 @@ fn differing(triangles: &[Triangle], eye: Vec3, image: &CubeImage, slack: f64) -
 #[test]
 fn each_face_of_a_room_shows_its_wall() {
     let scene = scene(room(Vec3::new(1.0, 2.0, 3.0), 2.0));
-    let Some(backend) = backend(&scene, 33, Strata::Faces, false) else { return };
+    let Some(backend) = backend(&scene, 33, Strata::Faces, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
     let centre = renderer.image(Vec3::new(1.0, 2.0, 3.0)).unwrap();
     for (i, id) in centre.ids.iter().enumerate() {
         assert_eq!(*id / 2, i as u32 / (33 * 33), "pixel {i} shows {id}");
     }
-    for eye in [[1.0, 2.0, 3.0], [0.3, 2.9, 1.7], [2.9, 0.1, 4.9], [1.7, 2.0, 3.1]] {
+    for eye in [
+        [1.0, 2.0, 3.0],
+        [0.3, 2.9, 1.7],
+        [2.9, 0.1, 4.9],
+        [1.7, 2.0, 3.1],
+    ] {
         let eye = Vec3::from(eye);
         let image = renderer.image(eye).unwrap();
-        assert!(image.ids.iter().all(|id| *id != SKY), "a closed room shows sky from {eye}");
+        assert!(
+            image.ids.iter().all(|id| *id != SKY),
+            "a closed room shows sky from {eye}"
+        );
         let wrong = differing(scene.triangles(), eye, &image, 1.0 / 64.0);
         // The diagonals of a centred view run through pixel centres.
         assert!(wrong <= 6 * 33 * 2, "{wrong} pixels differ from {eye}");
@@ -143,13 +193,19 @@ fn faces_are_the_right_way_round() {
             let [f, r, u] = face_basis(face);
             // Covers u in (0.25, 0.75) and v in (-0.5, -0.25): columns 20 to 27, rows 8 to 11.
             let corner = |a: f32, b: f32| f + r * a + u * b;
-            let [a, b, c, d] =
-                [corner(0.25, -0.5), corner(0.75, -0.5), corner(0.75, -0.25), corner(0.25, -0.25)];
+            let [a, b, c, d] = [
+                corner(0.25, -0.5),
+                corner(0.75, -0.5),
+                corner(0.75, -0.25),
+                corner(0.25, -0.25),
+            ];
             [Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]
         })
         .collect();
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene, n, Strata::Quadrants, false) else { return };
+    let Some(backend) = backend(&scene, n, Strata::Quadrants, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
     let image = renderer.image(Vec3::ZERO).unwrap();
     for (i, id) in (0u32..).zip(&image.ids) {
@@ -161,21 +217,32 @@ fn faces_are_the_right_way_round() {
     let sample = &renderer.samples(&[Vec3::ZERO]).unwrap()[0];
     assert_eq!(sample.ids, (0..12).collect::<Vec<_>>());
     // Quadrant 1 (right, lower half) of each face.
-    assert!(sample.ids.iter().zip(&sample.strata).all(|(id, mask)| *mask == 1 << (id / 2 * 4 + 1)));
+    assert!(
+        sample
+            .ids
+            .iter()
+            .zip(&sample.strata)
+            .all(|(id, mask)| *mask == 1 << (id / 2 * 4 + 1))
+    );
 }
 
 #[test]
 fn random_triangles_are_seen_where_rays_meet_them() {
     let mut random = Hashed::new(&[7]);
     let scene = scene(triangles(&mut random, 600, 0.35));
-    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
     // Inside, among triangles that cross the eye's planes, and outside.
     for eye in [random.point(), random.point(), Vec3::new(-1.5, 0.4, 2.5)] {
         let image = renderer.image(eye).unwrap();
         let wrong = differing(scene.triangles(), eye, &image, 1.0 / 64.0);
         println!("{wrong} pixels of {} differ from {eye}", image.ids.len());
-        assert!(wrong * 1000 <= image.ids.len(), "{wrong} pixels differ from {eye}");
+        assert!(
+            wrong * 1000 <= image.ids.len(),
+            "{wrong} pixels differ from {eye}"
+        );
     }
 }
 
@@ -188,15 +255,28 @@ fn triangles_that_cross_the_eye_plane_are_clipped_rightly() {
         triangle([-far, -0.3, -far], [far, -0.2, -far], [0.0, -0.25, far]),
         triangle([0.5, -far, -far], [0.4, far, -far], [0.6, 0.0, far]),
         triangle([-3.0, 2.0, -far], [3.0, 2.5, far], [-2.0, 2.0, far]),
-        triangle([-0.02, -0.01, -0.05], [0.02, -0.015, 0.06], [0.0, 0.01, -0.04]),
+        triangle(
+            [-0.02, -0.01, -0.05],
+            [0.02, -0.015, 0.06],
+            [0.0, 0.01, -0.04],
+        ),
     ];
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene, 64, Strata::One, false) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::One, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
-    for eye in [Vec3::ZERO, Vec3::new(0.01, 0.02, 0.003), Vec3::new(-0.2, 0.1, 0.4)] {
+    for eye in [
+        Vec3::ZERO,
+        Vec3::new(0.01, 0.02, 0.003),
+        Vec3::new(-0.2, 0.1, 0.4),
+    ] {
         let image = renderer.image(eye).unwrap();
         let wrong = differing(scene.triangles(), eye, &image, 1.0 / 64.0);
-        assert!(wrong * 1000 <= image.ids.len(), "{wrong} pixels differ from {eye}");
+        assert!(
+            wrong * 1000 <= image.ids.len(),
+            "{wrong} pixels differ from {eye}"
+        );
     }
 }
 
@@ -206,9 +286,15 @@ fn very_small_and_very_large_coordinates_live_together() {
     let mut triangles = room(Vec3::ZERO, 1e6);
     triangles.extend(room(Vec3::ZERO, 1e-3).into_iter().take(8));
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
-    for eye in [Vec3::ZERO, Vec3::new(3e-4, -9e-4, 9.9e-4), Vec3::new(5e5, -2e3, 7.0)] {
+    for eye in [
+        Vec3::ZERO,
+        Vec3::new(3e-4, -9e-4, 9.9e-4),
+        Vec3::new(5e5, -2e3, 7.0),
+    ] {
         let image = renderer.image(eye).unwrap();
         let wrong = differing(scene.triangles(), eye, &image, 1.0 / 64.0);
         assert!(wrong <= 6 * 64 * 2, "{wrong} pixels differ from {eye}");
@@ -227,7 +313,9 @@ fn the_device_reduces_as_the_reference_does() {
         // A side of 37 pixels is no multiple of the segment length, has a middle column and needs padded
         // rows in the read-back.
         for (resolution, keep) in [(64, true), (37, false), (37, true), (1, true)] {
-            let Some(backend) = backend(&scene, resolution, strata, keep) else { return };
+            let Some(backend) = backend(&scene, resolution, strata, keep) else {
+                return;
+            };
             let renderer = backend.prepare(None).unwrap();
             let samples = renderer.samples(&points).unwrap();
             assert_eq!(samples.len(), points.len());
@@ -239,7 +327,10 @@ fn the_device_reduces_as_the_reference_does() {
             // A second call, and a call for each point, give the same bits.
             assert_eq!(samples, renderer.samples(&points).unwrap());
             for (point, sample) in points.iter().zip(&samples) {
-                assert_eq!(std::slice::from_ref(sample), renderer.samples(&[*point]).unwrap());
+                assert_eq!(
+                    std::slice::from_ref(sample),
+                    renderer.samples(&[*point]).unwrap()
+                );
             }
             assert_eq!(renderer.samples(&[]).unwrap(), []);
         }
@@ -250,7 +341,9 @@ fn the_device_reduces_as_the_reference_does() {
 fn more_triangles_than_one_read_holds_are_all_listed() {
     let mut random = Hashed::new(&[5]);
     let scene = scene(triangles(&mut random, 40_000, 0.01));
-    let Some(backend) = backend(&scene, 256, Strata::Faces, false) else { return };
+    let Some(backend) = backend(&scene, 256, Strata::Faces, false) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
     for (point, sample) in points.iter().zip(renderer.samples(&points).unwrap()) {
@@ -264,7 +357,9 @@ fn more_triangles_than_one_read_holds_are_all_listed() {
 fn a_superset_shows_itself_alone() {
     let mut random = Hashed::new(&[3]);
     let scene = scene(triangles(&mut random, 3000, 0.15));
-    let Some(backend) = backend(&scene, 64, Strata::Quadrants, true) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::Quadrants, true) else {
+        return;
+    };
     let whole = backend.prepare(None).unwrap();
     let points: Vec<_> = (0..3).map(|_| random.point()).collect();
     for point in &points {
@@ -290,10 +385,18 @@ fn a_superset_shows_itself_alone() {
 #[test]
 fn an_empty_superset_shows_sky() {
     let scene = scene(room(Vec3::ZERO, 1.0));
-    let Some(backend) = backend(&scene, 16, Strata::Faces, true) else { return };
+    let Some(backend) = backend(&scene, 16, Strata::Faces, true) else {
+        return;
+    };
     let renderer = backend.prepare(Some(&[])).unwrap();
     let image = renderer.image(Vec3::ZERO).unwrap();
-    assert_eq!(image, CubeImage { resolution: 16, ids: vec![SKY; 6 * 16 * 16] });
+    assert_eq!(
+        image,
+        CubeImage {
+            resolution: 16,
+            ids: vec![SKY; 6 * 16 * 16]
+        }
+    );
     let sample = renderer.samples(&[Vec3::ZERO]).unwrap().remove(0);
     assert_eq!(sample, sample_of_image(&image, Strata::Faces, true));
 }
@@ -304,20 +407,27 @@ fn degenerate_triangles_are_never_seen() {
     let seen = triangles.len() as u32;
     for i in 0..200 {
         let a = Vec3::new((i as f32).sin(), (i as f32).cos(), (i as f32 * 0.7).sin());
-        triangles.push(Triangle { v: [a, a * 2.0, a * 1.5] });
+        triangles.push(Triangle {
+            v: [a, a * 2.0, a * 1.5],
+        });
         triangles.push(Triangle { v: [a, a, a] });
         triangles.push(Triangle { v: [a, -a, a] });
     }
     let all: Vec<u32> = (0..triangles.len() as u32).collect();
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::Faces, false) else {
+        return;
+    };
     for superset in [None, Some(all.as_slice())] {
         let renderer = backend.prepare(superset).unwrap();
         let image = renderer.image(Vec3::new(0.01, 0.02, 0.03)).unwrap();
         assert!(image.ids.iter().all(|id| *id < seen));
     }
     let renderer = backend.prepare(Some(&all[seen as usize..])).unwrap();
-    assert_eq!(renderer.samples(&[Vec3::ZERO]).unwrap()[0].ids, Vec::<u32>::new());
+    assert_eq!(
+        renderer.samples(&[Vec3::ZERO]).unwrap()[0].ids,
+        Vec::<u32>::new()
+    );
 }
 
 /// The winner of two coincident triangles does not depend on the other triangles drawn.
@@ -328,15 +438,29 @@ fn ties_do_not_depend_on_the_superset() {
     let twins = triangles.clone();
     triangles.extend(twins);
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene, 64, Strata::One, false) else { return };
+    let Some(backend) = backend(&scene, 64, Strata::One, false) else {
+        return;
+    };
     let whole = backend.prepare(None).unwrap();
     let eye = Vec3::splat(0.5);
     let image = whole.image(eye).unwrap();
-    let mut seen: Vec<u32> = image.ids.iter().filter(|id| **id != SKY).map(|id| id % 1500).collect();
+    let mut seen: Vec<u32> = image
+        .ids
+        .iter()
+        .filter(|id| **id != SKY)
+        .map(|id| id % 1500)
+        .collect();
     seen.sort_unstable();
     seen.dedup();
-    let both: Vec<u32> = seen.iter().copied().chain(seen.iter().map(|id| id + 1500)).collect();
-    assert_eq!(backend.prepare(Some(&both)).unwrap().image(eye).unwrap(), image);
+    let both: Vec<u32> = seen
+        .iter()
+        .copied()
+        .chain(seen.iter().map(|id| id + 1500))
+        .collect();
+    assert_eq!(
+        backend.prepare(Some(&both)).unwrap().image(eye).unwrap(),
+        image
+    );
 }
 
 #[test]
@@ -350,11 +474,16 @@ fn adapters_are_listed_best_first() {
     }
     assert!(all.is_sorted_by_key(|a| a.software));
     let scene = scene(room(Vec3::ZERO, 1.0));
-    let spec = CubeSpec { resolution: 8, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 8,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let hardware = GpuBackend::new(scene.clone(), spec, AdapterChoice::Hardware);
     assert_eq!(hardware.is_ok(), all.iter().any(|a| !a.software));
     if let Some(first) = all.first() {
-        let named = GpuBackend::new(scene, spec, AdapterChoice::Named(first.name.to_uppercase())).unwrap();
+        let named =
+            GpuBackend::new(scene, spec, AdapterChoice::Named(first.name.to_uppercase())).unwrap();
         assert_eq!(named.profile(), first.profile);
     }
 }

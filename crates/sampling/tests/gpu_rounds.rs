@@ -3,12 +3,19 @@
 //!
 //! Without a Vulkan adapter the tests say so in one line; where CI is set they fail.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
-use sightline_model::{CellSets, CellStats, Granularity, LineKind, PairTable, SamplingParams, TileOutput};
+use sightline_model::{
+    CellSets, CellStats, Granularity, LineKind, PairTable, SamplingParams, TileOutput,
+};
 use sightline_sampling::crew::{Alone, Crew, FromLeader, Leader, ToLeader};
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
@@ -26,7 +33,11 @@ use sightline_scene::{Object, Scene, Triangle};
 use sightline_viewcells::{Division, Layout, Plan};
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
-    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 16,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     match GpuBackend::new(Arc::clone(scene), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
@@ -38,15 +49,23 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
 }
 
 fn rooms(triangles: u64) -> Arc<Scene> {
-    let params = Params { triangles: Some(triangles), ..Params::default() };
+    let params = Params {
+        triangles: Some(triangles),
+        ..Params::default()
+    };
     Arc::new(generate::generate(Kind::Rooms, &params).unwrap())
 }
 
 /// A box whose sides are n×n squares of two triangles each.
 fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<Triangle> {
     let mut out = Vec::new();
-    let at =
-        |a: usize, i: u32| if i == n { max[a] } else { min[a] + (max[a] - min[a]) * i as f32 / n as f32 };
+    let at = |a: usize, i: u32| {
+        if i == n {
+            max[a]
+        } else {
+            min[a] + (max[a] - min[a]) * i as f32 / n as f32
+        }
+    };
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         for side in [min[axis], max[axis]] {
@@ -56,7 +75,12 @@ fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<Triangle> {
                     (p[axis], p[u], p[v]) = (side, at(u, i), at(v, j));
                     p
                 };
-                let [a, b, c, d] = [corner(i, j), corner(i + 1, j), corner(i + 1, j + 1), corner(i, j + 1)];
+                let [a, b, c, d] = [
+                    corner(i, j),
+                    corner(i + 1, j),
+                    corner(i + 1, j + 1),
+                    corner(i, j + 1),
+                ];
                 out.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
             }
         }
@@ -66,7 +90,11 @@ fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<Triangle> {
 
 fn scene(triangles: Vec<Triangle>) -> Arc<Scene> {
     let count = triangles.len() as u32;
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count }];
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count,
+    }];
     Arc::new(Scene::new("test", triangles, objects).unwrap())
 }
 
@@ -77,7 +105,13 @@ fn with_block<R>(
     crew: &dyn Crew,
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
-    with_rows(scene, backend, place, (crew, &Rows::triangles(scene), u64::MAX), f)
+    with_rows(
+        scene,
+        backend,
+        place,
+        (crew, &Rows::triangles(scene), u64::MAX),
+        f,
+    )
 }
 
 fn with_rows<R>(
@@ -87,8 +121,9 @@ fn with_rows<R>(
     (crew, rows, parts): (&dyn Crew, &Rows, u64),
     f: impl FnOnce(&mut Block<'_>) -> R,
 ) -> R {
-    let all: Vec<u32> =
-        (0..scene.len()).filter(|id| !scene.triangles()[*id as usize].is_degenerate()).collect();
+    let all: Vec<u32> = (0..scene.len())
+        .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
+        .collect();
     let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all).unwrap());
     let surface = Surface::of(scene, &all);
     let tools = Tools {
@@ -106,34 +141,58 @@ fn with_rows<R>(
     };
     let [nx, ny, _] = cells.map(u64::from);
     let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
-    f(&mut Block::new(tools, CellGrid::new(view[0], view[1], cells), number, |_| parts))
+    f(&mut Block::new(
+        tools,
+        CellGrid::new(view[0], view[1], cells),
+        number,
+        |_| parts,
+    ))
 }
 
 type Result = (Vec<Vec<u32>>, Vec<CellStats>);
 
 fn result(block: &Block<'_>) -> Result {
-    let sets = (0..block.grid().words() as u32).flat_map(|w| block.bits().columns(w)).collect();
+    let sets = (0..block.grid().words() as u32)
+        .flat_map(|w| block.bits().columns(w))
+        .collect();
     (sets, block.stats().to_vec())
 }
 
 #[test]
 fn every_run_gives_the_same_and_all_kinds_of_lines_find_something() {
     let scene = rooms(3000);
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let b = scene.bounds();
     let run = || {
-        with_block(&scene, &backend, ([b.min, b.max], [5, 3, 2]), &Alone, |block| {
-            block.sample_before_bound(1.0, 0.01).unwrap();
-            block.sample_to_bound(1.0, 0.01).unwrap();
-            assert!(block.traffic().is_some(), "the device casts the rounds");
-            result(block)
-        })
+        with_block(
+            &scene,
+            &backend,
+            ([b.min, b.max], [5, 3, 2]),
+            &Alone,
+            |block| {
+                block.sample_before_bound(1.0, 0.01).unwrap();
+                block.sample_to_bound(1.0, 0.01).unwrap();
+                assert!(block.traffic().is_some(), "the device casts the rounds");
+                result(block)
+            },
+        )
     };
     let (sets, stats) = run();
-    assert!(stats.iter().all(|s| s.bound().unwrap() <= 0.01), "the bounds are reached");
+    assert!(
+        stats.iter().all(|s| s.bound().unwrap() <= 0.01),
+        "the bounds are reached"
+    );
     for kind in [LineKind::Uniform, LineKind::Flood, LineKind::Candidate] {
-        assert!(stats.iter().map(|s| s.finds[kind as usize]).sum::<u64>() > 100, "{kind:?}");
-        assert!(stats.iter().map(|s| s.rays[kind as usize]).sum::<u64>() > 1000, "{kind:?}");
+        assert!(
+            stats.iter().map(|s| s.finds[kind as usize]).sum::<u64>() > 100,
+            "{kind:?}"
+        );
+        assert!(
+            stats.iter().map(|s| s.rays[kind as usize]).sum::<u64>() > 1000,
+            "{kind:?}"
+        );
     }
     for _ in 0..2 {
         assert_eq!((&sets, &stats), (&run().0, &run().1));
@@ -146,14 +205,20 @@ fn a_convex_room_is_seen_whole_and_nothing_outside_of_it() {
     let inside = triangles.len();
     triangles.extend(tessellated_box(Vec3::splat(-4.0), Vec3::splat(4.0), 5));
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
     with_block(&scene, &backend, view, &Alone, |block| {
         block.sample(1e-5, &[], Tolerance::Equal).unwrap();
         let (sets, _) = result(block);
         for c in block.grid().each() {
             let set = &sets[block.grid().slot(c).index()];
-            assert!(set.iter().copied().eq(0..inside as u32), "{c:?} sees {}", set.len());
+            assert!(
+                set.iter().copied().eq(0..inside as u32),
+                "{c:?} sees {}",
+                set.len()
+            );
         }
     });
 }
@@ -168,10 +233,16 @@ fn objects_are_seen_where_one_of_their_triangles_is() {
     let counts = std::iter::repeat_n(inside, 6).chain(std::iter::repeat_n(50, 6));
     for (number, count) in counts.enumerate() {
         let first = objects.last().map_or(0, |o| o.first + o.count);
-        objects.push(Object { name: format!("side {number}"), first, count });
+        objects.push(Object {
+            name: format!("side {number}"),
+            first,
+            count,
+        });
     }
     let scene = Arc::new(Scene::new("test", triangles, objects).unwrap());
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let rows = Rows::of_items(&scene, Granularity::Objects, &[]);
     let view = ([Vec3::splat(-2.0), Vec3::splat(2.0)], [3, 3, 3]);
     with_rows(&scene, &backend, view, (&Alone, &rows, u64::MAX), |block| {
@@ -179,7 +250,11 @@ fn objects_are_seen_where_one_of_their_triangles_is() {
         assert!(block.traffic().is_some(), "the device casts the rounds");
         let (sets, _) = result(block);
         for c in block.grid().each() {
-            assert_eq!(sets[block.grid().slot(c).index()], [0, 1, 2, 3, 4, 5], "{c:?}");
+            assert_eq!(
+                sets[block.grid().slot(c).index()],
+                [0, 1, 2, 3, 4, 5],
+                "{c:?}"
+            );
         }
     });
 }
@@ -192,19 +267,37 @@ fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
         [(-3.0, -3.0), (3.0, -3.0), (3.0, 3.0), (-3.0, 3.0)].map(|(y, z)| Vec3::new(0.0, y, z));
     triangles.extend([Triangle { v: [a, b, c] }, Triangle { v: [a, c, d] }]);
     let scene = scene(triangles);
-    let Some(backend) = backend(&scene) else { return };
-    let lower = (0..64).filter(|part| part % 4 < 2).fold(0u64, |parts, part| parts | 1 << part);
-    let (rows, view) = (Rows::triangles(&scene), ([Vec3::splat(-2.0), Vec3::splat(2.0)], [1; 3]));
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let lower = (0..64)
+        .filter(|part| part % 4 < 2)
+        .fold(0u64, |parts, part| parts | 1 << part);
+    let (rows, view) = (
+        Rows::triangles(&scene),
+        ([Vec3::splat(-2.0), Vec3::splat(2.0)], [1; 3]),
+    );
     with_rows(&scene, &backend, view, (&Alone, &rows, lower), |block| {
         // Too coarse for seeds, which begin anywhere and show what they show to any viewpoint of a cell.
         block.sample(0.004, &[], Tolerance::Equal).unwrap();
         assert!(block.traffic().is_some(), "the device casts the rounds");
         let set = &result(block).0[0];
         let shown = |t: &Triangle| t.v.iter().any(|v| v.x < 0.0) || t.v.iter().all(|v| v.x == 0.0);
-        let shown: Vec<u32> =
-            (0..).zip(scene.triangles()).filter(|(_, t)| shown(t)).map(|(i, _)| i).collect();
-        assert!(set.iter().all(|t| shown.binary_search(t).is_ok()), "what is behind the wall is not seen");
-        assert!(set.len() * 100 > shown.len() * 95, "{} of {} are seen", set.len(), shown.len());
+        let shown: Vec<u32> = (0..)
+            .zip(scene.triangles())
+            .filter(|(_, t)| shown(t))
+            .map(|(i, _)| i)
+            .collect();
+        assert!(
+            set.iter().all(|t| shown.binary_search(t).is_ok()),
+            "what is behind the wall is not seen"
+        );
+        assert!(
+            set.len() * 100 > shown.len() * 95,
+            "{} of {} are seen",
+            set.len(),
+            shown.len()
+        );
     });
 }
 
@@ -213,7 +306,9 @@ fn lines_begin_in_the_parts_of_a_cell_that_hold_viewpoints() {
 #[test]
 fn outcomes_of_another_member_take_the_place_of_phases() {
     let scene = rooms(2000);
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let b = scene.bounds();
     let run = |given: Vec<Vec<u8>>| {
         let outcomes: Arc<Mutex<Vec<Vec<u8>>>> = Arc::default();
@@ -225,10 +320,16 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
         });
         // Somebody for whom outcomes are handed over at once.
         leader.hear(ToLeader::Joined(1));
-        let result = with_block(&scene, &backend, ([b.min, b.max], [4, 3, 2]), &leader, |block| {
-            block.sample(0.003, &[], Tolerance::Raised).unwrap();
-            result(block)
-        });
+        let result = with_block(
+            &scene,
+            &backend,
+            ([b.min, b.max], [4, 3, 2]),
+            &leader,
+            |block| {
+                block.sample(0.003, &[], Tolerance::Raised).unwrap();
+                result(block)
+            },
+        );
         leader.end().unwrap();
         let outcomes = std::mem::take(&mut *outcomes.lock().unwrap());
         (result, outcomes)
@@ -236,7 +337,12 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
     let (expected, outcomes) = run(Vec::new());
     assert!(outcomes.len() >= 4, "{} phases", outcomes.len());
     for kept in [1, 2, outcomes.len() - 1, outcomes.len()] {
-        assert_eq!(run(outcomes[..kept].to_vec()).0, expected, "with {kept} of {} outcomes", outcomes.len());
+        assert_eq!(
+            run(outcomes[..kept].to_vec()).0,
+            expected,
+            "with {kept} of {} outcomes",
+            outcomes.len()
+        );
     }
 }
 
@@ -245,16 +351,24 @@ fn outcomes_of_another_member_take_the_place_of_phases() {
 #[test]
 fn little_goes_over_the_bus() {
     let scene = rooms(3000);
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let b = scene.bounds();
-    with_block(&scene, &backend, ([b.min, b.max], [4; 3]), &Alone, |block| {
-        block.sample(2e-5, &[], Tolerance::Equal).unwrap();
-        let traffic = block.traffic().unwrap();
-        let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
-        assert!(traffic.rays >= rays, "{} of at least {rays}", traffic.rays);
-        let a_ray = (traffic.up + traffic.down) as f64 / traffic.rays as f64;
-        assert!(a_ray < 0.1, "{a_ray} bytes a ray");
-    });
+    with_block(
+        &scene,
+        &backend,
+        ([b.min, b.max], [4; 3]),
+        &Alone,
+        |block| {
+            block.sample(2e-5, &[], Tolerance::Equal).unwrap();
+            let traffic = block.traffic().unwrap();
+            let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
+            assert!(traffic.rays >= rays, "{} of at least {rays}", traffic.rays);
+            let a_ray = (traffic.up + traffic.down) as f64 / traffic.rays as f64;
+            assert!(a_ray < 0.1, "{a_ray} bytes a ray");
+        },
+    );
 }
 
 /// The relation of a tile baked by a backend, and its sets.
@@ -264,7 +378,10 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
     let lattice = division.lattice(b.min, b.max).unwrap();
     let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
     let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
-    let params = SamplingParams { target_error: 0.003, ..SamplingParams::default() };
+    let params = SamplingParams {
+        target_error: 0.003,
+        ..SamplingParams::default()
+    };
     let job = JobContext {
         scene: &prepared,
         division,
@@ -278,7 +395,8 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
         deadline: None,
         crew: &Alone,
     };
-    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Unwatched).unwrap().0 else {
+    let TileOutput::Cells(sets) = tile::run(&job, &plan.tiles[0], &[], &Unwatched).unwrap().0
+    else {
         panic!("a leaf tile")
     };
     (sets.pairs.clone().unwrap().seen, sets)
@@ -295,7 +413,11 @@ fn pairs_are_those_that_the_host_finds() {
     }
     let scene = scene(triangles);
     let Some(gpu) = backend(&scene) else { return };
-    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 16,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let Ok(cpu) = CpuBackend::new(Arc::clone(&scene), spec) else {
         assert!(std::env::var_os("CI").is_none(), "Embree is missing");
         return;
@@ -307,9 +429,19 @@ fn pairs_are_those_that_the_host_finds() {
     let (by_host, _) = pairs_of(&scene, &cpu, CELLS);
     let count = CELLS.iter().product::<u32>();
     let all = || (0..count).flat_map(|a| (a..count).map(move |b| (a, b)));
-    let [device, host] = [&by_device, &by_host].map(|t| all().filter(|(a, b)| t.has(*a, *b)).count());
-    let both = all().filter(|(a, b)| by_device.has(*a, *b) && by_host.has(*a, *b)).count();
+    let [device, host] =
+        [&by_device, &by_host].map(|t| all().filter(|(a, b)| t.has(*a, *b)).count());
+    let both = all()
+        .filter(|(a, b)| by_device.has(*a, *b) && by_host.has(*a, *b))
+        .count();
     // Both miss a few narrow openings.
-    assert!(host > 100 && host < all().count() - 100, "{host} pairs of {}", all().count());
-    assert!(both * 50 >= host * 49 && both * 50 >= device * 49, "{device} and {host} pairs, {both} in both");
+    assert!(
+        host > 100 && host < all().count() - 100,
+        "{host} pairs of {}",
+        all().count()
+    );
+    assert!(
+        both * 50 >= host * 49 && both * 50 >= device * 49,
+        "{device} and {host} pairs, {both} in both"
+    );
 }

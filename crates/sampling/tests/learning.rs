@@ -52,11 +52,21 @@ impl Phase for Numbered<'_> {
 fn outcomes_learned_while_a_phase_is_prepared_are_those_of_the_next_ones() {
     let leader = Leader::new(Vec::new(), Arc::new(Unwatched), |_| {});
     let added = Mutex::new(Vec::new());
-    let learn = || leader.learn(leader.phase(), (leader.phase()..5).map(|n| vec![n as u8]).collect());
+    let learn = || {
+        leader.learn(
+            leader.phase(),
+            (leader.phase()..5).map(|n| vec![n as u8]).collect(),
+        )
+    };
     for number in 0..5 {
         let nothing = || {};
         let prepared: &(dyn Fn() + Sync) = if number == 1 { &learn } else { &nothing };
-        let phase = Numbered { number, has: AtomicBool::new(false), prepared, added: &added };
+        let phase = Numbered {
+            number,
+            has: AtomicBool::new(false),
+            prepared,
+            added: &added,
+        };
         leader.run(&phase).unwrap();
         assert!(phase.has(0));
     }

@@ -1,6 +1,11 @@
 //! Sight lines among masked triangles: where they end, what they show, and the same on every backend.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::sync::Arc;
 
@@ -33,8 +38,10 @@ const CHEQUERED: u32 = 4;
 
 impl Cards {
     fn accessor(&mut self, numbers: &[f32], shape: &str, each: usize) -> usize {
-        let view = json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": numbers.len() * 4});
-        self.bytes.extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
+        let view =
+            json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": numbers.len() * 4});
+        self.bytes
+            .extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
         self.views.push(view);
         let count = numbers.len() / each;
         self.accessors.push(
@@ -46,13 +53,26 @@ impl Cards {
     /// Adds a card of two triangles. `turned` winds them the other way, in the same places.
     fn card(mut self, at: f32, material: u32, turned: bool) -> Self {
         let corner = |y: f32, z: f32| [at, y, z];
-        let [a, b, c, d] = [corner(0.0, 0.0), corner(4.0, 0.0), corner(4.0, 4.0), corner(0.0, 4.0)];
-        let order = if turned { [a, c, b, a, d, c] } else { [a, b, c, a, c, d] };
-        let uv: Vec<f32> = order.iter().flat_map(|p| [p[1] / 4.0, p[2] / 4.0]).collect();
+        let [a, b, c, d] = [
+            corner(0.0, 0.0),
+            corner(4.0, 0.0),
+            corner(4.0, 4.0),
+            corner(0.0, 4.0),
+        ];
+        let order = if turned {
+            [a, c, b, a, d, c]
+        } else {
+            [a, b, c, a, c, d]
+        };
+        let uv: Vec<f32> = order
+            .iter()
+            .flat_map(|p| [p[1] / 4.0, p[2] / 4.0])
+            .collect();
         let position = self.accessor(order.as_flattened(), "VEC3", 3);
         let uv = self.accessor(&uv, "VEC2", 2);
-        self.primitives
-            .push(json!({"attributes": {"POSITION": position, "TEXCOORD_0": uv}, "material": material}));
+        self.primitives.push(
+            json!({"attributes": {"POSITION": position, "TEXCOORD_0": uv}, "material": material}),
+        );
         self
     }
 
@@ -62,7 +82,9 @@ impl Cards {
             let base = json!({"baseColorTexture": {"index": texture}});
             json!({"alphaMode": "MASK", "pbrMetallicRoughness": base})
         };
-        let chequered: Vec<u8> = (0..16u32).map(|t| if (t % 4 + t / 4) % 2 == 0 { 255 } else { 0 }).collect();
+        let chequered: Vec<u8> = (0..16u32)
+            .map(|t| if (t % 4 + t / 4) % 2 == 0 { 255 } else { 0 })
+            .collect();
         let image = |size: [u32; 2], alpha: &[u8]| {
             let uri = format!("data:image/png;base64,{}", base64(&png(size, alpha)));
             json!({"uri": uri})
@@ -77,8 +99,15 @@ impl Cards {
                 "uri": format!("data:;base64,{}", base64(&self.bytes)), "byteLength": self.bytes.len()
             }],
         });
-        let options = Options { alpha_textures: true, ..Options::default() };
-        Arc::new(load_bytes_with("cards.gltf", file.to_string().as_bytes(), None, &options).unwrap().scene)
+        let options = Options {
+            alpha_textures: true,
+            ..Options::default()
+        };
+        Arc::new(
+            load_bytes_with("cards.gltf", file.to_string().as_bytes(), None, &options)
+                .unwrap()
+                .scene,
+        )
     }
 }
 
@@ -87,13 +116,21 @@ fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(png::ColorType::GrayscaleAlpha);
     let texels: Vec<u8> = alpha.iter().flat_map(|a| [0, *a]).collect();
-    encoder.write_header().unwrap().write_image_data(&texels).unwrap();
+    encoder
+        .write_header()
+        .unwrap()
+        .write_image_data(&texels)
+        .unwrap();
     out
 }
 
 /// The backends of this machine. Under `CI` a missing one is a failure.
 fn backends(scene: &Arc<Scene>) -> Vec<Box<dyn Backend>> {
-    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 16,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     let cpu = CpuBackend::new(Arc::clone(scene), spec).map(|b| Box::new(b) as Box<dyn Backend>);
     let gpu = GpuBackend::new(Arc::clone(scene), spec, AdapterChoice::AllowSoftware);
     let both = [cpu, gpu.map(|b| Box::new(b) as Box<dyn Backend>)];
@@ -125,7 +162,8 @@ fn traced(
         .chunks(16)
         .map(|some| {
             let mut packet = Packet::default();
-            some.iter().for_each(|(origin, direction)| packet.push(*origin, *direction));
+            some.iter()
+                .for_each(|(origin, direction)| packet.push(*origin, *direction));
             packet
         })
         .collect();
@@ -137,7 +175,11 @@ fn traced(
     let shown = |i: usize| {
         let (packet, lane) = (i / 16, i % 16);
         let of = &packets[packet];
-        (of.triangle[lane], of.distance[lane], passed.on(packet, lane).collect())
+        (
+            of.triangle[lane],
+            of.distance[lane],
+            passed.on(packet, lane).collect(),
+        )
     };
     (0..lines.len()).map(shown).collect()
 }
@@ -145,19 +187,32 @@ fn traced(
 /// The cards that lines along x at these y and z show, as material-free numbers: the one at the end, if
 /// there is one, and the others.
 fn along_x(scene: &Arc<Scene>, at: &[[f32; 2]]) -> Vec<(Option<u32>, Vec<u32>)> {
-    let lines: Vec<_> = at.iter().map(|[y, z]| ([-1.0, *y, *z], [2.0, 0.0, 0.0])).collect();
+    let lines: Vec<_> = at
+        .iter()
+        .map(|[y, z]| ([-1.0, *y, *z], [2.0, 0.0, 0.0]))
+        .collect();
     let mut all: Vec<Vec<Shown>> = Vec::new();
     for backend in backends(scene) {
         all.extend([false, true].map(|each| traced(&*backend, scene, &lines, each)));
     }
-    let ids: Vec<Vec<_>> =
-        all.iter().map(|shown| shown.iter().map(|s| (s.0, s.2.clone())).collect()).collect();
-    assert!(ids.windows(2).all(|two| two[0] == two[1]), "all backends agree: {ids:?}");
+    let ids: Vec<Vec<_>> = all
+        .iter()
+        .map(|shown| shown.iter().map(|s| (s.0, s.2.clone())).collect())
+        .collect();
+    assert!(
+        ids.windows(2).all(|two| two[0] == two[1]),
+        "all backends agree: {ids:?}"
+    );
     let card = |t: u32| t / 2;
     let first = ids.into_iter().next().unwrap_or_default();
     first
         .into_iter()
-        .map(|(end, on)| ((end != SKY).then(|| card(end)), on.into_iter().map(card).collect()))
+        .map(|(end, on)| {
+            (
+                (end != SKY).then(|| card(end)),
+                on.into_iter().map(card).collect(),
+            )
+        })
         .collect()
 }
 
@@ -180,14 +235,20 @@ fn a_line_ends_where_a_texel_blocks_and_passes_where_it_is_open() {
         assert_eq!(shown, [low.clone(), low, high.clone(), high]);
     }
     // An open fence in front of the wall: it is not shown by lines through its holes.
-    let scene = Cards::default().card(2.0, LOW, false).card(5.0, WALL, false).scene();
+    let scene = Cards::default()
+        .card(2.0, LOW, false)
+        .card(5.0, WALL, false)
+        .scene();
     let shown = along_x(&scene, &[[1.0, 0.5], [3.0, 0.5]]);
     if !shown.is_empty() {
         assert_eq!(shown, [(Some(1), vec![]), (Some(0), vec![])]);
     }
     // Many fences in a row, and beyond them nothing.
-    let many =
-        (0..20).fold(Cards::default(), |cards, i| cards.card(1.0 + i as f32 / 4.0, LOW, i % 2 == 0)).scene();
+    let many = (0..20)
+        .fold(Cards::default(), |cards, i| {
+            cards.card(1.0 + i as f32 / 4.0, LOW, i % 2 == 0)
+        })
+        .scene();
     let shown = along_x(&many, &[[1.0, 0.5], [3.0, 0.5]]);
     if !shown.is_empty() {
         assert_eq!(shown, [(None, vec![]), (Some(0), vec![])]);
@@ -207,13 +268,19 @@ fn fences_in_one_place_block_where_either_does() {
     let shown = along_x(&scene, &[[0.5, 0.3], [1.5, 0.6], [2.5, 0.4], [3.5, 0.3]]);
     if !shown.is_empty() {
         let (wall, chequered) = ((Some(3), vec![]), (Some(2), vec![]));
-        assert_eq!(shown, [chequered, wall, (Some(0), vec![1, 2]), (Some(0), vec![1])]);
+        assert_eq!(
+            shown,
+            [chequered, wall, (Some(0), vec![1, 2]), (Some(0), vec![1])]
+        );
     }
 }
 
 #[test]
 fn a_poster_in_the_plane_of_a_wall_is_shown_with_the_wall() {
-    let scene = Cards::default().card(2.0, WALL, false).card(2.0, LOW, false).scene();
+    let scene = Cards::default()
+        .card(2.0, WALL, false)
+        .card(2.0, LOW, false)
+        .scene();
     let shown = along_x(&scene, &[[1.0, 0.5], [3.0, 0.5]]);
     if !shown.is_empty() {
         assert_eq!(shown, [(Some(0), vec![]), (Some(0), vec![1])]);
@@ -240,7 +307,8 @@ fn backends_agree_on_lines_through_chequered_fences() {
     let end = |(o, d): &([f32; 3], [f32; 3])| {
         let at = |x: f64| [1, 2].map(|a| f64::from(o[a]) + f64::from(d[a]) * (x + 0.5));
         let inside = |x: f64| at(x).iter().all(|c| (0.0..4.0).contains(c));
-        let closed = |x: f64| inside(x) && at(x).iter().map(|c| c.floor() as i64).sum::<i64>() % 2 == 0;
+        let closed =
+            |x: f64| inside(x) && at(x).iter().map(|c| c.floor() as i64).sum::<i64>() % 2 == 0;
         match (closed(1.0), closed(2.5), inside(5.0)) {
             (true, ..) => Some(0),
             (_, true, _) => Some(1),
@@ -249,17 +317,27 @@ fn backends_agree_on_lines_through_chequered_fences() {
         }
     };
     let truth: Vec<Option<u32>> = lines.iter().map(end).collect();
-    assert!([Some(0), Some(1), Some(3), None].iter().all(|e| truth.iter().filter(|t| *t == e).count() > 300));
+    assert!(
+        [Some(0), Some(1), Some(3), None]
+            .iter()
+            .all(|e| truth.iter().filter(|t| *t == e).count() > 300)
+    );
     for backend in backends(&scene) {
         for each in [false, true] {
             let shown = traced(&*backend, &scene, &lines, each);
             let ends = shown.iter().map(|s| (s.0 != SKY).then_some(s.0 / 2));
             // Lines that graze the border of a card may differ in single precision.
-            let other = ends.zip(&truth).filter(|(end, truth)| end != *truth).count();
+            let other = ends
+                .zip(&truth)
+                .filter(|(end, truth)| end != *truth)
+                .count();
             assert!(other <= 2, "{other} lines of {}", backend.profile());
             for (shown, truth) in shown.iter().zip(&truth) {
                 if *truth == Some(1) {
-                    assert!(shown.2.is_empty() && (shown.1 - 3.0).abs() < 1e-5, "{shown:?}");
+                    assert!(
+                        shown.2.is_empty() && (shown.1 - 3.0).abs() < 1e-5,
+                        "{shown:?}"
+                    );
                 }
             }
         }

@@ -1,7 +1,12 @@
 //! See-through triangles that are found together with the ends of lines are those that a second search
 //! finds, whatever else the scene has: random triangles, of which none share a plane.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::sync::Arc;
 
@@ -23,7 +28,10 @@ impl Backend for OneByOne<'_> {
         self.0.profile()
     }
 
-    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+    fn prepare(
+        &self,
+        superset: Option<&[u32]>,
+    ) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         self.0.prepare(superset)
     }
 
@@ -38,13 +46,27 @@ fn scene(sides: Sides) -> Scene {
     let triangles: Vec<Triangle> = (0..800)
         .map(|_| {
             let at = random.point();
-            Triangle { v: [0; 3].map(|_| at + (random.point() - Vec3::splat(0.5)) * 0.3) }
+            Triangle {
+                v: [0; 3].map(|_| at + (random.point() - Vec3::splat(0.5)) * 0.3),
+            }
         })
         .collect();
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: 800 }];
-    let kinds = [(100, Kind::Opaque, "wall"), (600, Kind::SeeThrough, "glass"), (100, Kind::Opaque, "wall")];
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: 800,
+    }];
+    let kinds = [
+        (100, Kind::Opaque, "wall"),
+        (600, Kind::SeeThrough, "glass"),
+        (100, Kind::Opaque, "wall"),
+    ];
     let scene = Scene::new("soup", triangles, objects).unwrap();
-    scene.with_kinds("soup", Kinds::from_runs(kinds, Vec::new())).unwrap().with_sides("soup", sides).unwrap()
+    scene
+        .with_kinds("soup", Kinds::from_runs(kinds, Vec::new()))
+        .unwrap()
+        .with_sides("soup", sides)
+        .unwrap()
 }
 
 /// The triangle at the end of a line, and those that it passes.
@@ -59,7 +81,10 @@ fn traced(sight: &Sight<'_>, coherent: bool) -> Vec<Shown> {
             let origin = random.point();
             // Some packets are not full.
             for _ in 0..LANES - (random.unit() * 3.0) as usize {
-                packet.push(origin.to_array(), (random.point() - Vec3::splat(0.5)).to_array());
+                packet.push(
+                    origin.to_array(),
+                    (random.point() - Vec3::splat(0.5)).to_array(),
+                );
             }
             packet
         })
@@ -72,7 +97,10 @@ fn traced(sight: &Sight<'_>, coherent: bool) -> Vec<Shown> {
             false => sight.trace_each(&mut packets, &mut passed, 0.0).unwrap(),
         }
     }
-    let lanes = packets.iter().enumerate().flat_map(|(k, p)| (0..p.count).map(move |lane| (k, p, lane)));
+    let lanes = packets
+        .iter()
+        .enumerate()
+        .flat_map(|(k, p)| (0..p.count).map(move |lane| (k, p, lane)));
     lanes
         .map(|(k, p, lane)| {
             let mut on: Vec<u32> = passed.on(k, lane).collect();
@@ -85,10 +113,18 @@ fn traced(sight: &Sight<'_>, coherent: bool) -> Vec<Shown> {
 
 #[test]
 fn one_traversal_finds_what_two_searches_find() {
-    let one_sided = Sides::from_runs([(50, Side::Both), (700, Side::CounterClockwise), (50, Side::Both)]);
+    let one_sided = Sides::from_runs([
+        (50, Side::Both),
+        (700, Side::CounterClockwise),
+        (50, Side::Both),
+    ]);
     for sides in [Sides::both(), one_sided] {
         let scene = Arc::new(scene(sides));
-        let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+        let spec = CubeSpec {
+            resolution: 16,
+            strata: Strata::One,
+            keep_pixels: false,
+        };
         let backend = match CpuBackend::new(Arc::clone(&scene), spec) {
             Ok(backend) => backend,
             Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
@@ -97,8 +133,16 @@ fn one_traversal_finds_what_two_searches_find() {
             }
             Err(e) => panic!("{e}"),
         };
-        let (prepared, apart) = (PreparedScene::new(Arc::clone(&scene)).unwrap(), OneByOne(&backend));
-        for (far, coherent) in [(None, false), (None, true), (Some(0.4), false), (Some(0.4), true)] {
+        let (prepared, apart) = (
+            PreparedScene::new(Arc::clone(&scene)).unwrap(),
+            OneByOne(&backend),
+        );
+        for (far, coherent) in [
+            (None, false),
+            (None, true),
+            (Some(0.4), false),
+            (Some(0.4), true),
+        ] {
             let sight = |backend| Sight::new(backend, prepared.traced()).unwrap().up_to(far);
             let together = traced(&sight(&backend), coherent);
             let apart = traced(&sight(&apart), coherent);

@@ -2,7 +2,12 @@
 //!
 //! Without Embree or a Vulkan adapter the tests say so in one line; where CI is set they fail.
 
-#![allow(clippy::unwrap_used, clippy::panic, clippy::print_stderr, reason = "helpers of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -15,7 +20,8 @@ use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{
-    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, SKY, Strata, Unwatched, layers, tile,
+    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, SKY, Strata, Unwatched,
+    layers, tile,
 };
 use sightline_scene::overlap::triangle_touches_box;
 use sightline_scene::{Aabb, Kind, Kinds, Object, Scene, Side, Sides, Triangle};
@@ -34,31 +40,59 @@ fn present<B>(backend: Result<B, BackendError>) -> Option<B> {
 
 fn backends(scene: &Arc<Scene>, spec: CubeSpec) -> Vec<Box<dyn Backend>> {
     let cpu = present(CpuBackend::new(Arc::clone(scene), spec));
-    let gpu = present(GpuBackend::new(Arc::clone(scene), spec, AdapterChoice::AllowSoftware));
+    let gpu = present(GpuBackend::new(
+        Arc::clone(scene),
+        spec,
+        AdapterChoice::AllowSoftware,
+    ));
     let boxed = cpu.map(|b| Box::new(b) as Box<dyn Backend>);
-    boxed.into_iter().chain(gpu.map(|b| Box::new(b) as Box<dyn Backend>)).collect()
+    boxed
+        .into_iter()
+        .chain(gpu.map(|b| Box::new(b) as Box<dyn Backend>))
+        .collect()
 }
 
 fn spec(resolution: u32) -> CubeSpec {
-    CubeSpec { resolution, strata: Strata::One, keep_pixels: false }
+    CubeSpec {
+        resolution,
+        strata: Strata::One,
+        keep_pixels: false,
+    }
 }
 
 /// A scene of triangles with their sides and kinds.
 fn scene(parts: &[([Vec3; 3], Side, Kind)]) -> Arc<Scene> {
     let triangles: Vec<Triangle> = parts.iter().map(|(v, ..)| Triangle { v: *v }).collect();
-    let objects = vec![Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 }];
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    }];
     let sides = Sides::from_runs(parts.iter().map(|(_, side, _)| (1, *side)));
-    let kinds = Kinds::from_runs(parts.iter().map(|(.., kind)| (1, *kind, "test")), Vec::new());
+    let kinds = Kinds::from_runs(
+        parts.iter().map(|(.., kind)| (1, *kind, "test")),
+        Vec::new(),
+    );
     let scene = Scene::new("test", triangles, objects).unwrap();
-    Arc::new(scene.with_sides("test", sides).unwrap().with_kinds("test", kinds).unwrap())
+    Arc::new(
+        scene
+            .with_sides("test", sides)
+            .unwrap()
+            .with_kinds("test", kinds)
+            .unwrap(),
+    )
 }
 
 /// The square 0…4 of the plane z = `z`, as two triangles that run counter-clockwise as seen from above, cut
 /// along one diagonal or the other.
 fn square(z: f32, other_diagonal: bool) -> [[Vec3; 3]; 2] {
-    let [a, b, c, d] =
-        [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)].map(|(x, y): (f32, f32)| Vec3::new(x, y, z));
-    if other_diagonal { [[b, c, d], [b, d, a]] } else { [[a, b, c], [a, c, d]] }
+    let [a, b, c, d] = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
+        .map(|(x, y): (f32, f32)| Vec3::new(x, y, z));
+    if other_diagonal {
+        [[b, c, d], [b, d, a]]
+    } else {
+        [[a, b, c], [a, c, d]]
+    }
 }
 
 /// Where a wall divides the third of four storeys of cells. Cubes at corners of cells are not in its plane.
@@ -68,7 +102,9 @@ const WALL: f32 = 2.47;
 fn storeys(wall: &[([[Vec3; 3]; 2], Side, Kind)]) -> Arc<Scene> {
     let outer = [square(0.0, false), square(4.0, false)].map(|s| (s, Side::Both, Kind::Opaque));
     let squares = outer.iter().chain(wall);
-    let parts: Vec<_> = squares.flat_map(|(s, side, kind)| s.map(|v| (v, *side, *kind))).collect();
+    let parts: Vec<_> = squares
+        .flat_map(|(s, side, kind)| s.map(|v| (v, *side, *kind)))
+        .collect();
     scene(&parts)
 }
 
@@ -84,9 +120,15 @@ fn bake(
     params: &SamplingParams,
 ) -> Vec<CellSets> {
     let division = Division::Grid(cells);
-    let lattice = division.lattice(scene.bounds().min, scene.bounds().max).unwrap();
+    let lattice = division
+        .lattice(scene.bounds().min, scene.bounds().max)
+        .unwrap();
     let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
-    let layout = if params.sampler == Sampler::Cubes { Layout::Samples } else { Layout::Blocks(512) };
+    let layout = if params.sampler == Sampler::Cubes {
+        Layout::Samples
+    } else {
+        Layout::Blocks(512)
+    };
     let plan = Plan::new(&division, &lattice, layout);
     let job = JobContext {
         scene: &prepared,
@@ -120,9 +162,22 @@ fn bake(
 
 /// The samplers, the last one with a bound.
 fn samplers() -> Vec<SamplingParams> {
-    let of = |sampler| SamplingParams { sampler, resolution: 32, rays: 20_000, ..SamplingParams::default() };
-    let bounded = SamplingParams { max_error: Some(0.01), ..of(Sampler::Lines) };
-    vec![of(Sampler::Lines), of(Sampler::Guided), of(Sampler::Cubes), bounded]
+    let of = |sampler| SamplingParams {
+        sampler,
+        resolution: 32,
+        rays: 20_000,
+        ..SamplingParams::default()
+    };
+    let bounded = SamplingParams {
+        max_error: Some(0.01),
+        ..of(Sampler::Lines)
+    };
+    vec![
+        of(Sampler::Lines),
+        of(Sampler::Guided),
+        of(Sampler::Cubes),
+        bounded,
+    ]
 }
 
 /// The sets of four storeys of cells from below, and whether the lowest and the highest cell see each other,
@@ -131,12 +186,21 @@ fn samplers() -> Vec<SamplingParams> {
 fn assert_storeys(scene: &Arc<Scene>, expected: [&[u32]; 4], pair: bool) {
     for backend in backends(scene, spec(32)) {
         for params in samplers() {
-            let what = format!("{} {:?} {:?}", backend.profile(), params.sampler, params.max_error);
+            let what = format!(
+                "{} {:?} {:?}",
+                backend.profile(),
+                params.sampler,
+                params.max_error
+            );
             let tiles = bake(scene, &*backend, [1, 1, 4], &params);
-            let sets: Vec<&Vec<u32>> =
-                tiles.iter().flat_map(|t| t.cells.iter().map(|c| &c.visible)).collect();
+            let sets: Vec<&Vec<u32>> = tiles
+                .iter()
+                .flat_map(|t| t.cells.iter().map(|c| &c.visible))
+                .collect();
             assert_eq!(sets, expected, "{what}");
-            let joined = tiles.iter().any(|t| t.pairs.as_ref().is_some_and(|p| p.seen.has(0, 3)));
+            let joined = tiles
+                .iter()
+                .any(|t| t.pairs.as_ref().is_some_and(|p| p.seen.has(0, 3)));
             assert_eq!(joined, pair, "{what}");
         }
     }
@@ -148,11 +212,23 @@ fn a_wall_with_one_side_is_seen_and_blocks_from_its_front_alone() {
     // Floor 0 and 1, ceiling 2 and 3. The third cell meets the wall.
     let all: &[u32] = &[0, 1, 2, 3, 4, 5];
     let wall = storeys(&[(square(WALL, false), Side::CounterClockwise, Opaque)]);
-    assert_storeys(&wall, [&[0, 1, 2, 3], &[0, 1, 2, 3], all, &[2, 3, 4, 5]], true);
+    assert_storeys(
+        &wall,
+        [&[0, 1, 2, 3], &[0, 1, 2, 3], all, &[2, 3, 4, 5]],
+        true,
+    );
     let mirrored = storeys(&[(square(WALL, false), Side::Clockwise, Opaque)]);
-    assert_storeys(&mirrored, [&[0, 1, 4, 5], &[0, 1, 4, 5], all, &[0, 1, 2, 3]], true);
+    assert_storeys(
+        &mirrored,
+        [&[0, 1, 4, 5], &[0, 1, 4, 5], all, &[0, 1, 2, 3]],
+        true,
+    );
     let both = storeys(&[(square(WALL, false), Side::Both, Opaque)]);
-    assert_storeys(&both, [&[0, 1, 4, 5], &[0, 1, 4, 5], all, &[2, 3, 4, 5]], false);
+    assert_storeys(
+        &both,
+        [&[0, 1, 4, 5], &[0, 1, 4, 5], all, &[2, 3, 4, 5]],
+        false,
+    );
 }
 
 #[test]
@@ -160,7 +236,11 @@ fn a_wall_of_two_faces_in_one_place_is_closed() {
     let up = (square(WALL, false), Side::CounterClockwise, Kind::Opaque);
     // The same vertices in the other order, and cut along the other diagonal.
     for other_diagonal in [false, true] {
-        let down = (reversed(square(WALL, other_diagonal)), Side::CounterClockwise, Kind::Opaque);
+        let down = (
+            reversed(square(WALL, other_diagonal)),
+            Side::CounterClockwise,
+            Kind::Opaque,
+        );
         let below: &[u32] = &[0, 1, 6, 7];
         let expected = [below, below, &[0, 1, 2, 3, 4, 5, 6, 7], &[2, 3, 4, 5]];
         assert_storeys(&storeys(&[up, down]), expected, false);
@@ -169,7 +249,11 @@ fn a_wall_of_two_faces_in_one_place_is_closed() {
 
 #[test]
 fn a_pane_with_one_side_is_seen_from_its_front_alone_and_never_blocks() {
-    let pane = storeys(&[(square(WALL, false), Side::CounterClockwise, Kind::SeeThrough)]);
+    let pane = storeys(&[(
+        square(WALL, false),
+        Side::CounterClockwise,
+        Kind::SeeThrough,
+    )]);
     let all: &[u32] = &[0, 1, 2, 3, 4, 5];
     assert_storeys(&pane, [&[0, 1, 2, 3], &[0, 1, 2, 3], all, all], true);
 }
@@ -184,8 +268,18 @@ fn an_item_buffer_has_no_back_faces() {
             let image = renderer.image(Vec3::new(1.7, 2.1, z)).unwrap();
             image.ids.into_iter().filter(|id| *id != SKY).collect()
         };
-        assert_eq!(ids(1.0), BTreeSet::from([0, 1, 2, 3]), "{}", backend.profile());
-        assert_eq!(ids(3.0), BTreeSet::from([2, 3, 4, 5]), "{}", backend.profile());
+        assert_eq!(
+            ids(1.0),
+            BTreeSet::from([0, 1, 2, 3]),
+            "{}",
+            backend.profile()
+        );
+        assert_eq!(
+            ids(3.0),
+            BTreeSet::from([2, 3, 4, 5]),
+            "{}",
+            backend.profile()
+        );
     }
 }
 
@@ -238,7 +332,11 @@ fn brute_force(scene: &Scene, o: DVec3, d: DVec3) -> (u32, f64, bool) {
             }
         }
     }
-    unclear |= distances.iter().filter(|at| **at < nearest.1 + 1e-4).count() > 1;
+    unclear |= distances
+        .iter()
+        .filter(|at| **at < nearest.1 + 1e-4)
+        .count()
+        > 1;
     (nearest.0, nearest.1, unclear)
 }
 
@@ -254,7 +352,11 @@ fn tracers_meet_the_nearest_triangle_that_faces_a_ray() {
         let (origin, way) = (random.point() * 2.0 - 1.0, random.point() * 2.0 - 1.0);
         for _ in 0..LANES {
             let own = random.point() * 2.0 - 1.0;
-            let (o, d) = if k % 2 == 0 { (origin, way + own * 0.1) } else { (own, random.point() - 0.5) };
+            let (o, d) = if k % 2 == 0 {
+                (origin, way + own * 0.1)
+            } else {
+                (own, random.point() - 0.5)
+            };
             packet.push(o.to_array(), d.to_array());
         }
         packets.push(packet);
@@ -275,7 +377,12 @@ fn tracers_meet_the_nearest_triangle_that_faces_a_ray() {
                     continue;
                 }
                 clear += 1;
-                assert_eq!([packet.triangle[lane], each.triangle[lane]], [id; 2], "{}", backend.profile());
+                assert_eq!(
+                    [packet.triangle[lane], each.triangle[lane]],
+                    [id; 2],
+                    "{}",
+                    backend.profile()
+                );
                 if id != SKY {
                     assert!((f64::from(packet.distance[lane]) - at).abs() < 1e-4 * at.max(1.0));
                 }
@@ -299,7 +406,10 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
     let cells = [3u32, 3, 3];
     let size = (bounds.max - bounds.min) / 3.0;
     for backend in backends(&scene, spec(32)) {
-        let params = SamplingParams { target_error: 1e-4, ..SamplingParams::default() };
+        let params = SamplingParams {
+            target_error: 1e-4,
+            ..SamplingParams::default()
+        };
         let tiles = bake(&scene, &*backend, cells, &params);
         let pairs = tiles[0].pairs.as_ref().unwrap();
         // One tile; the boxes of its cells in the order of its tree.
@@ -325,7 +435,9 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
         let mut witnessed = 0;
         for (set, (lo, hi)) in sets.iter().zip(&boxes) {
             let index = |p: Vec3| {
-                let at = ((p - bounds.min) / size).as_uvec3().min(glam::UVec3::splat(2));
+                let at = ((p - bounds.min) / size)
+                    .as_uvec3()
+                    .min(glam::UVec3::splat(2));
                 (at.z * 3 + at.y) * 3 + at.x
             };
             let here = index((*lo + *hi) * 0.5);
@@ -355,20 +467,36 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
                     Vec3::new(pick(0), pick(1), pick(2))
                 };
                 let before = |k: u32| front.dot((corner(k) - t.v[0]).as_dvec3()) > -1e-9;
-                assert!(front == DVec3::ZERO || (0..8).any(before), "{id} faces away");
+                assert!(
+                    front == DVec3::ZERO || (0..8).any(before),
+                    "{id} faces away"
+                );
                 outside += 1;
                 witnessed += usize::from((0..800).any(|_| {
                     let o = (*lo + (*hi - *lo) * random.point()).as_dvec3();
                     let [u, v] = [random.unit(), random.unit()];
-                    let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+                    let (u, v) = if u + v > 1.0 {
+                        (1.0 - u, 1.0 - v)
+                    } else {
+                        (u, v)
+                    };
                     let p = t.v[0] + (t.v[1] - t.v[0]) * u + (t.v[2] - t.v[0]) * v;
                     brute_force(&scene, o, p.as_dvec3() - o).0 == id
                 }));
             }
         }
         assert!(rays > 10_000 && outside > 100, "{rays} {outside}");
-        assert!(missed * 500 < rays, "{missed} of {rays} rays meet a triangle that is not in the set");
-        assert!(unjoined * 500 < rays, "{unjoined} of {rays} free ways join no pair");
-        assert!(witnessed * 100 > outside * 95, "{witnessed} of {outside} have a witness");
+        assert!(
+            missed * 500 < rays,
+            "{missed} of {rays} rays meet a triangle that is not in the set"
+        );
+        assert!(
+            unjoined * 500 < rays,
+            "{unjoined} of {rays} free ways join no pair"
+        );
+        assert!(
+            witnessed * 100 > outside * 95,
+            "{witnessed} of {outside} have a witness"
+        );
     }
 }

@@ -16,7 +16,12 @@ fn main() {
         let start = Instant::now();
         match load(Path::new(f)) {
             Ok(s) => {
-                println!("{f}: {} triangles, {} objects, {:.2?}", s.len(), s.objects().len(), start.elapsed())
+                println!(
+                    "{f}: {} triangles, {} objects, {:.2?}",
+                    s.len(),
+                    s.objects().len(),
+                    start.elapsed()
+                )
             }
             Err(e) => println!("{e}"),
         }
@@ -35,13 +40,24 @@ fn main() {
 fn timed(name: &str, bytes: &[u8]) -> sightline_scene::Scene {
     let start = Instant::now();
     let scene = load_bytes(name, bytes, None).unwrap();
-    println!("{name}: {} bytes, {} triangles, {:.2?}", bytes.len(), scene.len(), start.elapsed());
+    println!(
+        "{name}: {} bytes, {} triangles, {:.2?}",
+        bytes.len(),
+        scene.len(),
+        start.elapsed()
+    );
     scene
 }
 
 fn points(w: u32, h: u32) -> impl Iterator<Item = [f32; 3]> {
     (0..=h).flat_map(move |y| {
-        (0..=w).map(move |x| [x as f32 * 0.37, y as f32 * 0.41, ((x * y) % 17) as f32 * 0.013])
+        (0..=w).map(move |x| {
+            [
+                x as f32 * 0.37,
+                y as f32 * 0.41,
+                ((x * y) % 17) as f32 * 0.013,
+            ]
+        })
     })
 }
 
@@ -54,7 +70,8 @@ fn faces(w: u32, h: u32) -> impl Iterator<Item = [u32; 3]> {
 fn grid_obj(w: u32, h: u32) -> String {
     let mut s = String::new();
     points(w, h).for_each(|[x, y, z]| writeln!(s, "v {x} {y} {z}").unwrap());
-    faces(w, h).for_each(|[a, b, c]| writeln!(s, "f {}/1/1 {}/2/2 {}/3/3", a + 1, b + 1, c + 1).unwrap());
+    faces(w, h)
+        .for_each(|[a, b, c]| writeln!(s, "f {}/1/1 {}/2/2 {}/3/3", a + 1, b + 1, c + 1).unwrap());
     s
 }
 

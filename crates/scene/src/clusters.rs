@@ -22,12 +22,18 @@ const BITS: u32 = 20;
 /// The clusters of a scene, each as ascending triangle ids; in the order of the objects, and within one in
 /// the order in which they grew. Triangles that can never be visible are in no cluster.
 pub fn clusters(scene: &Scene) -> Vec<Vec<u32>> {
-    scene.objects().iter().flat_map(|object| of_object(scene, object)).collect()
+    scene
+        .objects()
+        .iter()
+        .flat_map(|object| of_object(scene, object))
+        .collect()
 }
 
 fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
     let shows = |t: &u32| scene.kinds().kind(*t) != Kind::OccluderOnly && scene.shows(*t);
-    let ids: Vec<u32> = (object.first..object.first + object.count).filter(shows).collect();
+    let ids: Vec<u32> = (object.first..object.first + object.count)
+        .filter(shows)
+        .collect();
     if ids.is_empty() {
         return Vec::new();
     }
@@ -43,7 +49,10 @@ fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
     loop {
         let number = clusters.len() as u32;
         let new = |t: u32, vertex_in: &[u32]| {
-            mesh.corners(t).iter().filter(|v| vertex_in[**v as usize] != number).count()
+            mesh.corners(t)
+                .iter()
+                .filter(|v| vertex_in[**v as usize] != number)
+                .count()
         };
         border.retain(|t| !taken[*t as usize]);
         let best = border.iter().copied().min_by_key(|t| {
@@ -106,7 +115,10 @@ impl Mesh {
             })
             .collect();
         let mut starts = vec![0u32; numbers.len() + 1];
-        corners.iter().flatten().for_each(|v| starts[*v as usize + 1] += 1);
+        corners
+            .iter()
+            .flatten()
+            .for_each(|v| starts[*v as usize + 1] += 1);
         (1..starts.len()).for_each(|i| starts[i] += starts[i - 1]);
         let mut next = starts.clone();
         let mut around = vec![0; corners.len() * 3];
@@ -122,15 +134,24 @@ impl Mesh {
             let side = |a: usize| {
                 let [low, high] = [bounds.min[a], bounds.max[a]].map(f64::from);
                 let centre = (f64::from(v[0][a]) + f64::from(v[1][a]) + f64::from(v[2][a])) / 3.0;
-                ((centre - low) / (high - low).max(f64::MIN_POSITIVE) * f64::from(1u32 << BITS)) as u64
+                ((centre - low) / (high - low).max(f64::MIN_POSITIVE) * f64::from(1u32 << BITS))
+                    as u64
             };
             (0..BITS).fold(0u64, |code, bit| {
-                (0..3).fold(code, |code, a| code | (side(a) >> bit & 1) << (3 * bit + a as u32))
+                (0..3).fold(code, |code, a| {
+                    code | (side(a) >> bit & 1) << (3 * bit + a as u32)
+                })
             })
         };
-        let mut morton: Vec<(u64, u32)> = ids.iter().zip(0..).map(|(id, t)| (code(id), t)).collect();
+        let mut morton: Vec<(u64, u32)> =
+            ids.iter().zip(0..).map(|(id, t)| (code(id), t)).collect();
         morton.sort_unstable();
-        Self { corners, starts, around, morton: morton.into_iter().map(|m| m.1).collect() }
+        Self {
+            corners,
+            starts,
+            around,
+            morton: morton.into_iter().map(|m| m.1).collect(),
+        }
     }
 
     fn corners(&self, triangle: u32) -> &[u32; 3] {
@@ -138,7 +159,8 @@ impl Mesh {
     }
 
     fn around(&self, vertex: u32) -> &[u32] {
-        &self.around[self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize]
+        &self.around
+            [self.starts[vertex as usize] as usize..self.starts[vertex as usize + 1] as usize]
     }
 
     /// The number of triangles around each vertex.
@@ -161,16 +183,29 @@ mod tests {
             .flat_map(|i| {
                 let (x, y) = (i % n, i / n);
                 let quad = [at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)];
-                [[0, 1, 2], [0, 2, 3]].map(|c| Triangle { v: c.map(|k: usize| quad[k]) })
+                [[0, 1, 2], [0, 2, 3]].map(|c| Triangle {
+                    v: c.map(|k: usize| quad[k]),
+                })
             })
             .collect();
         let count = triangles.len() as u32;
-        let lone = |i: u32| Triangle { v: [at(3 * i, 90), at(3 * i + 1, 90), at(3 * i, 91)] };
+        let lone = |i: u32| Triangle {
+            v: [at(3 * i, 90), at(3 * i + 1, 90), at(3 * i, 91)],
+        };
         triangles.extend((0..n).map(lone));
         // Without area.
         triangles.push(Triangle { v: [at(0, 0); 3] });
-        let object = |first: u32, count| Object { name: first.to_string(), first, count };
-        Scene::new("test", triangles, vec![object(0, count), object(count, n + 1)]).unwrap()
+        let object = |first: u32, count| Object {
+            name: first.to_string(),
+            first,
+            count,
+        };
+        Scene::new(
+            "test",
+            triangles,
+            vec![object(0, count), object(count, n + 1)],
+        )
+        .unwrap()
     }
 
     #[test]
@@ -182,7 +217,10 @@ mod tests {
         ids.sort_unstable();
         assert_eq!(ids, (0..scene.len() - 1).collect::<Vec<_>>());
         let square = all.iter().filter(|c| c[0] < 2 * n * n).count();
-        assert!(all.iter().all(|c| c.len() <= MOST_TRIANGLES && c.windows(2).all(|w| w[0] < w[1])));
+        assert!(
+            all.iter()
+                .all(|c| c.len() <= MOST_TRIANGLES && c.windows(2).all(|w| w[0] < w[1]))
+        );
         // A flat cluster of 128 triangles has about 81 vertices; 25 clusters would be the least.
         assert!((25..=32).contains(&square), "{square}");
         // Lone triangles share a cluster, and no cluster has triangles of two objects.

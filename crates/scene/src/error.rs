@@ -35,11 +35,19 @@ impl SceneError {
         reason: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self::Bad { file: file.into(), element: element.into(), reason: reason.into(), remedy: remedy.into() }
+        Self::Bad {
+            file: file.into(),
+            element: element.into(),
+            reason: reason.into(),
+            remedy: remedy.into(),
+        }
     }
 
     /// A [`SceneError::Io`] for `path`.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { path: path.to_owned(), source }
+        Self::Io {
+            path: path.to_owned(),
+            source,
+        }
     }
 }

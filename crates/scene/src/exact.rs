@@ -15,8 +15,9 @@ const U: f64 = f64::EPSILON / 2.0;
 
 /// Whether the three points lie on one line (or coincide): all three components of (b − a) × (c − a) are 0.
 pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
-    let zero =
-        |i: usize, j: usize| orient2d_sign([a[i], a[j]], [b[i], b[j]], [c[i], c[j]]) == Ordering::Equal;
+    let zero = |i: usize, j: usize| {
+        orient2d_sign([a[i], a[j]], [b[i], b[j]], [c[i], c[j]]) == Ordering::Equal
+    };
     zero(0, 1) && zero(1, 2) && zero(2, 0)
 }
 
@@ -67,7 +68,8 @@ fn orient2d_filtered(a: [f32; 2], b: [f32; 2], p: [f32; 2]) -> Option<Ordering> 
 pub fn orient3d_sign(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     let exactly = || {
         let rows = differences(a.as_dvec3(), [b, c, p].map(Vec3::as_dvec3));
-        rows.and_then(det3_small).unwrap_or_else(|| orient3d_expanded(a, b, c, p))
+        rows.and_then(det3_small)
+            .unwrap_or_else(|| orient3d_expanded(a, b, c, p))
     };
     orient3d_filtered(a, b, c, p).unwrap_or_else(exactly)
 }
@@ -89,9 +91,12 @@ fn orient3d_filtered(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Option<Ordering> {
 fn orient3d_expanded(a: Vec3, b: Vec3, c: Vec3, p: Vec3) -> Ordering {
     // The determinant of differences is linear in each row, and rows with a twice vanish.
     let mut terms = [0.0; 48];
-    for (chunk, (x, y, z, minus)) in
-        terms.chunks_exact_mut(12).zip([(b, c, p, false), (a, c, p, true), (a, b, p, false), (a, b, c, true)])
-    {
+    for (chunk, (x, y, z, minus)) in terms.chunks_exact_mut(12).zip([
+        (b, c, p, false),
+        (a, c, p, true),
+        (a, b, p, false),
+        (a, b, c, true),
+    ]) {
         chunk.copy_from_slice(&det3_terms(x, y, z));
         if minus {
             chunk.iter_mut().for_each(|t| *t = -*t);
@@ -207,8 +212,11 @@ pub fn dyadic(x: f64) -> (i64, i32) {
     let bits = x.to_bits();
     let field = (bits >> 52 & 0x7ff) as i32;
     let fraction = (bits & ((1 << 52) - 1)) as i64;
-    let (mantissa, exponent) =
-        if field == 0 { (fraction, -1074) } else { (fraction | 1 << 52, field - 1075) };
+    let (mantissa, exponent) = if field == 0 {
+        (fraction, -1074)
+    } else {
+        (fraction | 1 << 52, field - 1075)
+    };
     let zeros = mantissa.trailing_zeros() as i32;
     let odd = mantissa >> zeros;
     (if x < 0.0 { -odd } else { odd }, exponent + zeros)
@@ -222,7 +230,10 @@ pub fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
     };
     let (mx, my, mz) = (minor(1, 2), minor(2, 0), minor(0, 1));
     let det = mx.0 * z[0] + my.0 * z[1] + mz.0 * z[2];
-    (det, mx.1 * z[0].abs() + my.1 * z[1].abs() + mz.1 * z[2].abs())
+    (
+        det,
+        mx.1 * z[0].abs() + my.1 * z[1].abs() + mz.1 * z[2].abs(),
+    )
 }
 
 /// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of
@@ -238,7 +249,11 @@ pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
         (0, 2, 1, true),
     ]) {
         let xy = f64::from(x[i]) * f64::from(y[j]);
-        let w = if minus { -f64::from(z[k]) } else { f64::from(z[k]) };
+        let w = if minus {
+            -f64::from(z[k])
+        } else {
+            f64::from(z[k])
+        };
         let rounded = xy * w;
         #[expect(
             clippy::disallowed_methods,
@@ -263,7 +278,14 @@ fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
         }
         expansion[len] = q;
     }
-    sign(expansion.iter().rev().copied().find(|e| *e != 0.0).unwrap_or(0.0))
+    sign(
+        expansion
+            .iter()
+            .rev()
+            .copied()
+            .find(|e| *e != 0.0)
+            .unwrap_or(0.0),
+    )
 }
 
 /// The exact sum of any number of doubles, for totals over whole meshes.
@@ -319,29 +341,62 @@ mod tests {
         assert!(collinear(a, Vec3::new(0.2, 0.2, 0.0), c));
         let off = Vec3::new(0.2, f32::from_bits(0.2f32.to_bits() + 1), 0.0);
         assert!(!collinear(a, off, c));
-        assert!(!collinear(Vec3::ZERO, Vec3::splat(1e30), Vec3::new(1e-30, 0.0, 0.0)));
+        assert!(!collinear(
+            Vec3::ZERO,
+            Vec3::splat(1e30),
+            Vec3::new(1e-30, 0.0, 0.0)
+        ));
     }
 
     #[test]
     fn a_point_one_unit_off_a_slanted_plane_is_told() {
         // The plane x + y + z = 3·2²⁴ through points whose differences are as small as f32 allows there.
         let s = 16_777_216.0f32;
-        let (a, b, c) = (Vec3::splat(s), Vec3::new(s + 2.0, s - 2.0, s), Vec3::new(s, s + 2.0, s - 2.0));
-        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 4.0)), Ordering::Equal);
-        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 3.0)), Ordering::Greater);
-        assert_eq!(orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 5.0)), Ordering::Less);
+        let (a, b, c) = (
+            Vec3::splat(s),
+            Vec3::new(s + 2.0, s - 2.0, s),
+            Vec3::new(s, s + 2.0, s - 2.0),
+        );
+        assert_eq!(
+            orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 4.0)),
+            Ordering::Equal
+        );
+        assert_eq!(
+            orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 3.0)),
+            Ordering::Greater
+        );
+        assert_eq!(
+            orient3d_sign(a, b, c, Vec3::new(s + 4.0, s, s - 5.0)),
+            Ordering::Less
+        );
     }
 
     #[test]
     fn the_extremes_of_f32_neither_overflow_nor_vanish() {
         let (big, small) = (f32::MAX, f32::from_bits(1));
         let tiny = [Vec3::ZERO, Vec3::X * small, Vec3::Y * small];
-        assert_eq!(orient3d_sign(tiny[0], tiny[1], tiny[2], Vec3::Z * small), Ordering::Greater);
+        assert_eq!(
+            orient3d_sign(tiny[0], tiny[1], tiny[2], Vec3::Z * small),
+            Ordering::Greater
+        );
         let far = Vec3::new(big, -big, small);
-        assert_eq!(orient3d_sign(tiny[0], tiny[1], tiny[2], far), Ordering::Greater);
-        let huge = [Vec3::splat(-big), Vec3::new(big, -big, -big), Vec3::new(-big, big, -big)];
-        assert_eq!(orient3d_sign(huge[0], huge[1], huge[2], Vec3::splat(big)), Ordering::Greater);
-        assert_eq!(orient3d_sign(huge[0], huge[1], huge[2], Vec3::new(big, 1.0, -big)), Ordering::Equal);
+        assert_eq!(
+            orient3d_sign(tiny[0], tiny[1], tiny[2], far),
+            Ordering::Greater
+        );
+        let huge = [
+            Vec3::splat(-big),
+            Vec3::new(big, -big, -big),
+            Vec3::new(-big, big, -big),
+        ];
+        assert_eq!(
+            orient3d_sign(huge[0], huge[1], huge[2], Vec3::splat(big)),
+            Ordering::Greater
+        );
+        assert_eq!(
+            orient3d_sign(huge[0], huge[1], huge[2], Vec3::new(big, 1.0, -big)),
+            Ordering::Equal
+        );
     }
 
     /// Coordinates as integers times a power of two per axis, so that the truth is an integer determinant.

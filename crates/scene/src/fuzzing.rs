@@ -8,7 +8,10 @@ use crate::load::{Limits, Options, load_bytes_with};
 use crate::{Scene, write_mesh_ply};
 
 /// Limits of one run.
-pub const LIMITS: Limits = Limits { triangles: 1 << 14, objects: 1 << 10 };
+pub const LIMITS: Limits = Limits {
+    triangles: 1 << 14,
+    objects: 1 << 10,
+};
 
 /// Bytes as an OBJ file.
 pub fn obj(bytes: &[u8]) -> bool {
@@ -27,19 +30,34 @@ pub fn gltf(bytes: &[u8]) -> bool {
 
 /// Bytes as a canonical scene.
 pub fn scene_blob(bytes: &[u8]) -> bool {
-    let Ok(scene) = Scene::from_blob("fuzz", bytes) else { return false };
+    let Ok(scene) = Scene::from_blob("fuzz", bytes) else {
+        return false;
+    };
     // The encoding is canonical: a scene has one encoding.
-    assert!(scene.to_blob() == bytes, "a canonical scene must be written as it was read");
+    assert!(
+        scene.to_blob() == bytes,
+        "a canonical scene must be written as it was read"
+    );
     true
 }
 
 /// Loads `bytes`; encodes and decodes an accepted scene in both encodings.
 fn file(name: &str, bytes: &[u8]) -> bool {
-    let options = Options { limits: LIMITS, rules: Vec::new(), alpha_textures: true, cull_back_faces: true };
-    let Ok(scene) = load_bytes_with(name, bytes, None, &options).map(|l| l.scene) else { return false };
+    let options = Options {
+        limits: LIMITS,
+        rules: Vec::new(),
+        alpha_textures: true,
+        cull_back_faces: true,
+    };
+    let Ok(scene) = load_bytes_with(name, bytes, None, &options).map(|l| l.scene) else {
+        return false;
+    };
     let blob = scene.to_blob();
     let again = Scene::from_blob("fuzz", &blob).map(|s| s.to_blob());
-    assert!(again.is_ok_and(|b| b == blob), "a loaded scene must survive its canonical bytes");
+    assert!(
+        again.is_ok_and(|b| b == blob),
+        "a loaded scene must survive its canonical bytes"
+    );
     let mut ply = Vec::new();
     let written = write_mesh_ply(&scene, &mut ply);
     assert!(written.is_ok(), "memory does not refuse writes");
@@ -51,5 +69,11 @@ fn file(name: &str, bytes: &[u8]) -> bool {
 
 /// Coordinates by their bits, so that -0 differs from 0.
 fn bits(scene: &Scene) -> Vec<u32> {
-    scene.triangles().iter().flat_map(|t| t.v).flat_map(|v| v.to_array()).map(f32::to_bits).collect()
+    scene
+        .triangles()
+        .iter()
+        .flat_map(|t| t.v)
+        .flat_map(|v| v.to_array())
+        .map(f32::to_bits)
+        .collect()
 }

@@ -18,7 +18,9 @@ pub enum GlbError {
     #[error("the GLB cannot be written: {0}; check the destination and the space left on it")]
     Io(#[from] std::io::Error),
     /// GLB counts its bytes in 32 bits.
-    #[error("the scene takes {bytes} bytes as GLB; the limit is 4 294 967 295: write it in parts or as PLY")]
+    #[error(
+        "the scene takes {bytes} bytes as GLB; the limit is 4 294 967 295: write it in parts or as PLY"
+    )]
     TooLarge {
         /// Least number of bytes of the file.
         bytes: u64,
@@ -48,12 +50,17 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
     let (mut accessors, mut meshes, mut nodes) = (Vec::new(), Vec::new(), Vec::new());
     for (k, o) in scene.objects().iter().enumerate() {
         if o.count == 0 {
-            return Err(GlbError::EmptyObject { index: k, name: o.name.clone() });
+            return Err(GlbError::EmptyObject {
+                index: k,
+                name: o.name.clone(),
+            });
         }
         // `Scene::new` checked that objects tile the triangles.
         let triangles = &scene.triangles()[o.first as usize..][..o.count as usize];
         let (vertices, numbers) = share(triangles);
-        let bounds = triangles.iter().fold(Aabb::EMPTY, |b, t| b.union(t.bounds()));
+        let bounds = triangles
+            .iter()
+            .fold(Aabb::EMPTY, |b, t| b.union(t.bounds()));
         accessors.push(json!({
             "bufferView": 0, "byteOffset": positions.len(), "componentType": FLOAT, "count": vertices.len(),
             "type": "VEC3", "min": exact(bounds.min), "max": exact(bounds.max),
@@ -67,7 +74,12 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
             "primitives": [{ "attributes": { "POSITION": 2 * k }, "indices": 2 * k + 1, "mode": TRIANGLES }],
         }));
         nodes.push(json!({ "name": o.name, "mesh": k }));
-        positions.extend(vertices.iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes));
+        positions.extend(
+            vertices
+                .iter()
+                .flat_map(|v| v.to_array())
+                .flat_map(f32::to_le_bytes),
+        );
         indices.extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
         fits((positions.len() + indices.len()) as u64)?;
     }
@@ -132,7 +144,11 @@ fn exact(v: Vec3) -> Value {
 fn share(triangles: &[Triangle]) -> (Vec<Vec3>, Vec<u32>) {
     let corners: Vec<Vec3> = triangles.iter().flat_map(|t| t.v).collect();
     let bits = |v: Vec3| v.to_array().map(f32::to_bits);
-    let mut order: Vec<([u32; 3], usize)> = corners.iter().enumerate().map(|(i, v)| (bits(*v), i)).collect();
+    let mut order: Vec<([u32; 3], usize)> = corners
+        .iter()
+        .enumerate()
+        .map(|(i, v)| (bits(*v), i))
+        .collect();
     order.sort_unstable();
     // The first corner at each corner's position; sorted by corner within a position, so it leads its run.
     let mut leader = vec![0usize; corners.len()];
@@ -179,13 +195,19 @@ mod tests {
 
     /// Reads a written GLB by the specification alone, and checks lengths, alignment and bounds.
     fn read(glb: &[u8]) -> (Vec<Triangle>, Vec<Object>) {
-        assert_eq!((&glb[..4], u32_at(glb, 4), u32_at(glb, 8)), (&b"glTF"[..], 2, glb.len()));
+        assert_eq!(
+            (&glb[..4], u32_at(glb, 4), u32_at(glb, 8)),
+            (&b"glTF"[..], 2, glb.len())
+        );
         let json_len = u32_at(glb, 12);
         assert_eq!((&glb[16..20], json_len % 4), (&b"JSON"[..], 0));
         let doc: Value = serde_json::from_slice(&glb[20..20 + json_len]).unwrap();
         let bin_len = u32_at(glb, 20 + json_len);
         let bin = &glb[28 + json_len..];
-        assert_eq!((&glb[24 + json_len..28 + json_len], bin.len(), bin_len % 4), (&b"BIN\0"[..], bin_len, 0));
+        assert_eq!(
+            (&glb[24 + json_len..28 + json_len], bin.len(), bin_len % 4),
+            (&b"BIN\0"[..], bin_len, 0)
+        );
         assert_eq!(number(&doc["buffers"][0]["byteLength"]), bin_len);
         assert_eq!(doc["asset"]["version"], "2.0");
         let slice = |accessor: &Value, size: usize| {
@@ -206,15 +228,28 @@ mod tests {
                 .map(|c| [0, 4, 8].map(|o| f32::from_bits(u32_at(c, o) as u32)))
                 .map(Vec3::from)
                 .collect();
-            let extreme =
-                |name: &str| Vec3::from([0, 1, 2].map(|i| positions[name][i].as_f64().unwrap() as f32));
-            assert_eq!(vertices.iter().fold(Vec3::INFINITY, |a, v| a.min(*v)), extreme("min"));
-            assert_eq!(vertices.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v)), extreme("max"));
+            let extreme = |name: &str| {
+                Vec3::from([0, 1, 2].map(|i| positions[name][i].as_f64().unwrap() as f32))
+            };
+            assert_eq!(
+                vertices.iter().fold(Vec3::INFINITY, |a, v| a.min(*v)),
+                extreme("min")
+            );
+            assert_eq!(
+                vertices.iter().fold(Vec3::NEG_INFINITY, |a, v| a.max(*v)),
+                extreme("max")
+            );
             let first = triangles.len() as u32;
             let indices: Vec<usize> = slice(indices, 4).chunks(4).map(|c| u32_at(c, 0)).collect();
-            triangles.extend(indices.chunks(3).map(|i| Triangle { v: [0, 1, 2].map(|k| vertices[i[k]]) }));
+            triangles.extend(indices.chunks(3).map(|i| Triangle {
+                v: [0, 1, 2].map(|k| vertices[i[k]]),
+            }));
             let name = node["name"].as_str().unwrap().to_owned();
-            objects.push(Object { name, first, count: triangles.len() as u32 - first });
+            objects.push(Object {
+                name,
+                first,
+                count: triangles.len() as u32 - first,
+            });
         }
         (triangles, objects)
     }
@@ -222,33 +257,79 @@ mod tests {
     #[test]
     fn what_is_written_reads_back_the_same() {
         for kind in Kind::ALL {
-            let scene = generate(kind, &Params { triangles: Some(3_000), ..Params::default() }).unwrap();
+            let scene = generate(
+                kind,
+                &Params {
+                    triangles: Some(3_000),
+                    ..Params::default()
+                },
+            )
+            .unwrap();
             let glb = bytes(&scene);
             // The loader numbers the triangles as they were.
             let loaded = crate::load_bytes("made.glb", &glb, None).unwrap();
             assert!(loaded.triangles() == scene.triangles(), "{}", kind.name());
             assert_eq!(loaded.objects().len(), scene.objects().len());
             let (triangles, objects) = read(&glb);
-            assert!(triangles == scene.triangles() && objects == scene.objects(), "{}", kind.name());
+            assert!(
+                triangles == scene.triangles() && objects == scene.objects(),
+                "{}",
+                kind.name()
+            );
             assert_eq!(glb, bytes(&scene));
-            let other =
-                generate(kind, &Params { triangles: Some(3_000), seed: 1, ..Params::default() }).unwrap();
+            let other = generate(
+                kind,
+                &Params {
+                    triangles: Some(3_000),
+                    seed: 1,
+                    ..Params::default()
+                },
+            )
+            .unwrap();
             assert_ne!(glb, bytes(&other), "{}", kind.name());
         }
     }
 
     #[test]
     fn odd_names_extreme_numbers_and_signed_zeros_survive() {
-        let v = [[f32::MAX, -0.0, 1e-45], [0.1, 0.0, f32::MIN], [-0.0, 0.0, 16_777_216.0]].map(Vec3::from);
+        let v = [
+            [f32::MAX, -0.0, 1e-45],
+            [0.1, 0.0, f32::MIN],
+            [-0.0, 0.0, 16_777_216.0],
+        ]
+        .map(Vec3::from);
         let objects = vec![
-            Object { name: "a \"quoted\"\n\u{1F332} name".into(), first: 0, count: 1 },
-            Object { name: String::new(), first: 1, count: 2 },
+            Object {
+                name: "a \"quoted\"\n\u{1F332} name".into(),
+                first: 0,
+                count: 1,
+            },
+            Object {
+                name: String::new(),
+                first: 1,
+                count: 2,
+            },
         ];
         let t = Triangle { v };
-        let scene = Scene::new("test", vec![t, t, Triangle { v: [v[0], v[0], v[2]] }], objects).unwrap();
+        let scene = Scene::new(
+            "test",
+            vec![
+                t,
+                t,
+                Triangle {
+                    v: [v[0], v[0], v[2]],
+                },
+            ],
+            objects,
+        )
+        .unwrap();
         let (triangles, read_objects) = read(&bytes(&scene));
         let bits = |t: &[Triangle]| -> Vec<u32> {
-            t.iter().flat_map(|t| t.v).flat_map(|v| v.to_array()).map(f32::to_bits).collect()
+            t.iter()
+                .flat_map(|t| t.v)
+                .flat_map(|v| v.to_array())
+                .map(f32::to_bits)
+                .collect()
         };
         assert_eq!(bits(&triangles), bits(scene.triangles()));
         assert_eq!(read_objects, scene.objects());
@@ -256,19 +337,41 @@ mod tests {
 
     #[test]
     fn vertices_are_shared() {
-        let scene = generate(Kind::Maze, &Params { grid: Some([1, 1]), ..Params::default() }).unwrap();
+        let scene = generate(
+            Kind::Maze,
+            &Params {
+                grid: Some([1, 1]),
+                ..Params::default()
+            },
+        )
+        .unwrap();
         let (vertices, numbers) = share(&scene.triangles()[..12]);
         assert_eq!((vertices.len(), numbers.len()), (8, 36));
     }
 
     #[test]
     fn too_large_and_empty_objects_are_refused_before_anything_is_written() {
-        assert!(matches!(fits(1 << 32), Err(GlbError::TooLarge { bytes: 4_294_967_296 })));
+        assert!(matches!(
+            fits(1 << 32),
+            Err(GlbError::TooLarge {
+                bytes: 4_294_967_296
+            })
+        ));
         assert_eq!(fits((1 << 32) - 1).unwrap(), u32::MAX);
-        let t = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
+        let t = Triangle {
+            v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+        };
         let objects = vec![
-            Object { name: "something".into(), first: 0, count: 1 },
-            Object { name: "nothing".into(), first: 1, count: 0 },
+            Object {
+                name: "something".into(),
+                first: 0,
+                count: 1,
+            },
+            Object {
+                name: "nothing".into(),
+                first: 1,
+                count: 0,
+            },
         ];
         let scene = Scene::new("test", vec![t], objects).unwrap();
         let mut out = Vec::new();

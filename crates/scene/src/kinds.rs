@@ -165,13 +165,23 @@ impl Kinds {
             }) as u32;
             match runs.last_mut() {
                 Some(last) if (last.kind, last.reason) == (kind, reason) => last.count += count,
-                _ => runs.push(Run { count, kind, reason }),
+                _ => runs.push(Run {
+                    count,
+                    kind,
+                    reason,
+                }),
             }
         }
         if rules.is_empty() && !alpha_textures && runs.iter().all(|r| r.kind == Kind::Opaque) {
             return Self::opaque();
         }
-        Self { of: expanded(&runs), runs, reasons, rules, alpha_textures }
+        Self {
+            of: expanded(&runs),
+            runs,
+            reasons,
+            rules,
+            alpha_textures,
+        }
     }
 
     /// The kind of a triangle.
@@ -226,7 +236,10 @@ impl Kinds {
         let mut counts: Vec<KindCount> = Vec::new();
         for run in &self.runs {
             let reason = &self.reasons[run.reason as usize];
-            match counts.iter_mut().find(|c| c.kind == run.kind && c.reason == *reason) {
+            match counts
+                .iter_mut()
+                .find(|c| c.kind == run.kind && c.reason == *reason)
+            {
                 Some(c) => c.triangles += u64::from(run.count),
                 None => counts.push(KindCount {
                     kind: run.kind,
@@ -242,22 +255,42 @@ impl Kinds {
     /// Checks that the runs cover `triangles` ids and that texts are short.
     pub(crate) fn check(&self, file: &str, triangles: u32) -> Result<(), SceneError> {
         let bad = |reason: String| {
-            SceneError::bad(file, "kinds", reason, "upload the scene again with this version of the program")
+            SceneError::bad(
+                file,
+                "kinds",
+                reason,
+                "upload the scene again with this version of the program",
+            )
         };
         let covered: u64 = self.runs.iter().map(|r| u64::from(r.count)).sum();
         if !self.runs.is_empty() && covered != u64::from(triangles) {
-            return Err(bad(format!("they are given for {covered} triangles of {triangles}")));
+            return Err(bad(format!(
+                "they are given for {covered} triangles of {triangles}"
+            )));
         }
         if self.any_masked() && !self.alpha_textures {
-            return Err(bad("triangles are masked, but no texture was read".to_owned()));
+            return Err(bad(
+                "triangles are masked, but no texture was read".to_owned()
+            ));
         }
-        if let Some(rule) = self.rules.iter().find(|r| matches!(r.kind, Kind::Masked | Kind::Hidden)) {
+        if let Some(rule) = self
+            .rules
+            .iter()
+            .find(|r| matches!(r.kind, Kind::Masked | Kind::Hidden))
+        {
             let kind = rule.kind.name();
-            return Err(bad(format!("a rule makes triangles {kind}, which only a file does")));
+            return Err(bad(format!(
+                "a rule makes triangles {kind}, which only a file does"
+            )));
         }
-        let mut texts = self.reasons.iter().chain(self.rules.iter().map(|r| &r.glob));
+        let mut texts = self
+            .reasons
+            .iter()
+            .chain(self.rules.iter().map(|r| &r.glob));
         if texts.any(|t| t.len() > MAX_TEXT) {
-            return Err(bad(format!("a reason or a glob is longer than {MAX_TEXT} bytes")));
+            return Err(bad(format!(
+                "a reason or a glob is longer than {MAX_TEXT} bytes"
+            )));
         }
         Ok(())
     }
@@ -269,7 +302,8 @@ fn expanded(runs: &[Run]) -> Vec<Kind> {
         return Vec::new();
     }
     let mut of = Vec::with_capacity(runs.iter().map(|r| r.count as usize).sum());
-    runs.iter().for_each(|r| of.resize(of.len() + r.count as usize, r.kind));
+    runs.iter()
+        .for_each(|r| of.resize(of.len() + r.count as usize, r.kind));
     of
 }
 
@@ -305,7 +339,10 @@ pub(crate) fn read(
     let mut r = Reader(bytes);
     let mut rules = Vec::new();
     for _ in 0..r.count(5)? {
-        rules.push(Rule { kind: r.kind()?, glob: r.text()? });
+        rules.push(Rule {
+            kind: r.kind()?,
+            glob: r.text()?,
+        });
     }
     let mut reasons = Vec::new();
     for _ in 0..r.count(4)? {
@@ -314,7 +351,11 @@ pub(crate) fn read(
     let mut runs = Vec::new();
     let mut covered = 0u64;
     for _ in 0..r.count(9)? {
-        let run = Run { count: r.u32()?, kind: r.kind()?, reason: r.u32()? };
+        let run = Run {
+            count: r.u32()?,
+            kind: r.kind()?,
+            reason: r.u32()?,
+        };
         covered += u64::from(run.count);
         if run.count == 0 || covered > u64::from(triangles) {
             return Err("a run of kinds is empty or reaches beyond the triangles");
@@ -328,7 +369,9 @@ pub(crate) fn read(
         return Err("the kinds do not cover all triangles");
     }
     // One scene has one encoding: no run is split, no reason unused, and opaque scenes have no kinds.
-    let parts = runs.iter().map(|r| (r.count, r.kind, &reasons[r.reason as usize]));
+    let parts = runs
+        .iter()
+        .map(|r| (r.count, r.kind, &reasons[r.reason as usize]));
     let kinds = Kinds::collect(parts, rules, alpha_textures);
     if kinds.runs != runs || kinds.reasons != reasons {
         return Err("the kinds are not in their canonical form");
@@ -341,7 +384,10 @@ struct Reader<'a>(&'a [u8]);
 
 impl Reader<'_> {
     fn u32(&mut self) -> Result<u32, &'static str> {
-        let (head, rest) = self.0.split_first_chunk::<4>().ok_or("the kinds are cut short")?;
+        let (head, rest) = self
+            .0
+            .split_first_chunk::<4>()
+            .ok_or("the kinds are cut short")?;
         self.0 = rest;
         Ok(u32::from_le_bytes(*head))
     }
@@ -349,13 +395,20 @@ impl Reader<'_> {
     /// A count of elements of at least `least` bytes each.
     fn count(&mut self, least: usize) -> Result<usize, &'static str> {
         let n = self.u32()? as usize;
-        if n > self.0.len() / least { Err("the kinds count more than there is") } else { Ok(n) }
+        if n > self.0.len() / least {
+            Err("the kinds count more than there is")
+        } else {
+            Ok(n)
+        }
     }
 
     fn kind(&mut self) -> Result<Kind, &'static str> {
         let (number, rest) = self.0.split_first().ok_or("the kinds are cut short")?;
         self.0 = rest;
-        Kind::ALL.get(usize::from(*number)).copied().ok_or("a kind is unknown")
+        Kind::ALL
+            .get(usize::from(*number))
+            .copied()
+            .ok_or("a kind is unknown")
     }
 
     fn text(&mut self) -> Result<String, &'static str> {

@@ -41,12 +41,20 @@ proptest! {
 fn masked_triangles_are_ranges_and_no_rule_makes_them() {
     use Kind::{Masked, Opaque};
     let kinds = |rules| {
-        let runs = [(2, Masked, "a"), (3, Masked, "b"), (1, Opaque, "a"), (4, Masked, "a")];
+        let runs = [
+            (2, Masked, "a"),
+            (3, Masked, "b"),
+            (1, Opaque, "a"),
+            (4, Masked, "a"),
+        ];
         Kinds::from_textures(runs, rules)
     };
     assert_eq!(kinds(Vec::new()).masked(), [(0, 5), (6, 4)]);
     assert!(kinds(Vec::new()).any_masked() && kinds(Vec::new()).check("test", 10).is_ok());
-    let rule = Rule { kind: Masked, glob: "*".to_owned() };
+    let rule = Rule {
+        kind: Masked,
+        glob: "*".to_owned(),
+    };
     assert!(kinds(vec![rule]).check("test", 10).is_err());
 }
 

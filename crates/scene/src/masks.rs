@@ -53,7 +53,11 @@ impl Mask {
 
     /// A mask of `size` texels that are all open. The caller has checked the size.
     pub(crate) fn open(size: [u32; 2], wrap: [Wrap; 2]) -> Self {
-        Self { size, wrap, bits: vec![0; Self::texels(size).div_ceil(8) as usize] }
+        Self {
+            size,
+            wrap,
+            bits: vec![0; Self::texels(size).div_ceil(8) as usize],
+        }
     }
 
     /// Makes a texel, counted row by row, block. The mask has that texel.
@@ -80,7 +84,9 @@ impl Mask {
             (at as u64).min(u64::from(self.size[a]) - 1)
         });
         let texel = y * u64::from(self.size[0]) + x;
-        self.bits.get((texel / 8) as usize).is_some_and(|byte| byte >> (texel % 8) & 1 == 1)
+        self.bits
+            .get((texel / 8) as usize)
+            .is_some_and(|byte| byte >> (texel % 8) & 1 == 1)
     }
 }
 
@@ -116,7 +122,10 @@ impl Masks {
     /// Masks in their canonical form: adjacent parts with one mask are joined, and masks are in the order in
     /// which parts use them. `parts` ascend and name masks that are there.
     pub(crate) fn new(masks: Vec<Mask>, parts: Vec<Part>, coordinates: Vec<Coordinates>) -> Self {
-        let mut this = Self { coordinates, ..Self::default() };
+        let mut this = Self {
+            coordinates,
+            ..Self::default()
+        };
         let mut place = vec![u32::MAX; masks.len()];
         let mut waiting: Vec<Option<Mask>> = masks.into_iter().map(Some).collect();
         let mut start = 0;
@@ -152,17 +161,32 @@ impl Masks {
         let at = after.checked_sub(1)?;
         let (part, offset) = (&self.parts[at], triangle - self.parts[at].first);
         let within = offset < part.count;
-        within
-            .then(|| (&self.masks[part.mask as usize], &self.coordinates[self.starts[at] + offset as usize]))
+        within.then(|| {
+            (
+                &self.masks[part.mask as usize],
+                &self.coordinates[self.starts[at] + offset as usize],
+            )
+        })
     }
 
     /// Whether a triangle with these vertices blocks where a line meets it. A line in the triangle's plane
     /// meets no texel.
-    pub(crate) fn block(&self, triangle: u32, v: [Vec3; 3], origin: [f32; 3], direction: [f32; 3]) -> bool {
-        let Some((mask, of)) = self.of(triangle) else { return false };
+    pub(crate) fn block(
+        &self,
+        triangle: u32,
+        v: [Vec3; 3],
+        origin: [f32; 3],
+        direction: [f32; 3],
+    ) -> bool {
+        let Some((mask, of)) = self.of(triangle) else {
+            return false;
+        };
         // Möller and Trumbore 1997, in f64.
         let v = v.map(|v| v.as_dvec3());
-        let (origin, direction) = (Vec3::from(origin).as_dvec3(), Vec3::from(direction).as_dvec3());
+        let (origin, direction) = (
+            Vec3::from(origin).as_dvec3(),
+            Vec3::from(direction).as_dvec3(),
+        );
         let (b, c, to) = (v[1] - v[0], v[2] - v[0], origin - v[0]);
         let across = cross(direction, c);
         let scale = dot(b, across);
@@ -182,7 +206,11 @@ impl Masks {
 
     /// Checks that these are masks of exactly the masked triangles.
     pub(crate) fn check(&self, file: &str, kinds: &Kinds) -> Result<(), SceneError> {
-        let mut parts = self.parts.iter().map(|p| (u64::from(p.first), u64::from(p.count))).peekable();
+        let mut parts = self
+            .parts
+            .iter()
+            .map(|p| (u64::from(p.first), u64::from(p.count)))
+            .peekable();
         let mut fits = true;
         for (first, count) in kinds.masked() {
             // A run of kinds may have several masks, one after another.
@@ -211,7 +239,11 @@ fn dot(a: DVec3, b: DVec3) -> f64 {
 }
 
 fn cross(a: DVec3, b: DVec3) -> DVec3 {
-    DVec3::new(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x)
+    DVec3::new(
+        a.y * b.z - a.z * b.y,
+        a.z * b.x - a.x * b.z,
+        a.x * b.y - a.y * b.x,
+    )
 }
 
 /// Gives the section of a scene's canonical bytes to `take`, in parts. Little-endian: u32 M, then M masks
@@ -226,11 +258,18 @@ pub(crate) fn write(masks: &Masks, take: &mut impl FnMut(&[u8])) {
     }
     take(&(masks.parts.len() as u32).to_le_bytes());
     for part in &masks.parts {
-        [part.first, part.count, part.mask].iter().for_each(|n| take(&n.to_le_bytes()));
+        [part.first, part.count, part.mask]
+            .iter()
+            .for_each(|n| take(&n.to_le_bytes()));
     }
     // Many at a time, since a digest takes large pieces faster.
     for some in masks.coordinates.chunks(4096) {
-        let bytes: Vec<u8> = some.iter().flatten().flatten().flat_map(|c| c.to_le_bytes()).collect();
+        let bytes: Vec<u8> = some
+            .iter()
+            .flatten()
+            .flatten()
+            .flat_map(|c| c.to_le_bytes())
+            .collect();
         take(&bytes);
     }
 }
@@ -242,8 +281,15 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Masks, &'static str> {
     let mut masks = Vec::new();
     for _ in 0..count(&mut rest, 11)? {
         let size = [number(&mut rest)?, number(&mut rest)?];
-        let wrap = |w: u8| Wrap::ALL.get(usize::from(w)).copied().ok_or("a wrap mode is unknown");
-        let [s, t] = take(&mut rest, 2)? else { return Err(SHORT) };
+        let wrap = |w: u8| {
+            Wrap::ALL
+                .get(usize::from(w))
+                .copied()
+                .ok_or("a wrap mode is unknown")
+        };
+        let [s, t] = take(&mut rest, 2)? else {
+            return Err(SHORT);
+        };
         let wrap = [wrap(*s)?, wrap(*t)?];
         let texels = Mask::texels(size);
         if texels == 0 {
@@ -259,11 +305,18 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Masks, &'static str> {
     let mut parts: Vec<Part> = Vec::new();
     let (mut end, mut triangles) = (0u32, 0usize);
     for _ in 0..count(&mut rest, 12)? {
-        let part = Part { first: number(&mut rest)?, count: number(&mut rest)?, mask: number(&mut rest)? };
+        let part = Part {
+            first: number(&mut rest)?,
+            count: number(&mut rest)?,
+            mask: number(&mut rest)?,
+        };
         if part.first < end || part.count == 0 || part.mask as usize >= masks.len() {
             return Err("a part of the masked triangles is empty, out of order or names no mask");
         }
-        end = part.first.checked_add(part.count).ok_or("a part of the masked triangles is too long")?;
+        end = part
+            .first
+            .checked_add(part.count)
+            .ok_or("a part of the masked triangles is too long")?;
         triangles += part.count as usize;
         parts.push(part);
     }
@@ -273,7 +326,12 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Masks, &'static str> {
     let corner = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
     let of = |b: &[u8]| [0, 8, 16].map(|at| [corner(&b[at..]), corner(&b[at + 4..])]);
     let coordinates: Vec<Coordinates> = rest.chunks_exact(24).map(of).collect();
-    if coordinates.iter().flatten().flatten().any(|c| !c.is_finite()) {
+    if coordinates
+        .iter()
+        .flatten()
+        .flatten()
+        .any(|c| !c.is_finite())
+    {
         return Err("a texture coordinate is not finite");
     }
     let (given, used) = (parts.clone(), masks.len());
@@ -302,7 +360,11 @@ fn number(rest: &mut &[u8]) -> Result<u32, &'static str> {
 /// A count of elements of at least `least` bytes each.
 fn count(rest: &mut &[u8], least: usize) -> Result<usize, &'static str> {
     let n = number(rest)? as usize;
-    if n > rest.len() / least { Err("the masks count more than there is") } else { Ok(n) }
+    if n > rest.len() / least {
+        Err("the masks count more than there is")
+    } else {
+        Ok(n)
+    }
 }
 
 #[cfg(test)]
@@ -318,54 +380,108 @@ mod tests {
 
     fn row(wrap: Wrap, from: i32) -> String {
         let at = |i: i32| f64::from(i) / 4.0 + 0.125;
-        (from..from + 4).map(|i| if mask(wrap).blocks([at(i), 0.25]) { 'x' } else { '.' }).collect()
+        (from..from + 4)
+            .map(|i| {
+                if mask(wrap).blocks([at(i), 0.25]) {
+                    'x'
+                } else {
+                    '.'
+                }
+            })
+            .collect()
     }
 
     #[test]
     fn coordinates_outside_of_the_texture_are_wrapped() {
-        assert_eq!([-4, 0, 4].map(|i| row(Wrap::Repeat, i)), [".x.x", ".x.x", ".x.x"]);
-        assert_eq!([-4, 0, 4].map(|i| row(Wrap::Mirror, i)), ["x.x.", ".x.x", "x.x."]);
-        assert_eq!([-4, 0, 4].map(|i| row(Wrap::Clamp, i)), ["....", ".x.x", "xxxx"]);
+        assert_eq!(
+            [-4, 0, 4].map(|i| row(Wrap::Repeat, i)),
+            [".x.x", ".x.x", ".x.x"]
+        );
+        assert_eq!(
+            [-4, 0, 4].map(|i| row(Wrap::Mirror, i)),
+            ["x.x.", ".x.x", "x.x."]
+        );
+        assert_eq!(
+            [-4, 0, 4].map(|i| row(Wrap::Clamp, i)),
+            ["....", ".x.x", "xxxx"]
+        );
         assert!(mask(Wrap::Repeat).blocks([0.1, 0.75]) && !mask(Wrap::Repeat).blocks([0.1, 1.25]));
-        assert!(mask(Wrap::Clamp).blocks([1.0, 0.0]), "the far border is the last texel");
+        assert!(
+            mask(Wrap::Clamp).blocks([1.0, 0.0]),
+            "the far border is the last texel"
+        );
         for wrap in Wrap::ALL {
             // Coordinates without a fraction have a texel, too.
             let _ = [1e30, -1e30, f64::from(f32::MAX)].map(|t| mask(wrap).blocks([t, -t]));
         }
-        assert!(!mask(Wrap::Clamp).all_closed() && !Mask::open([3, 3], [Wrap::Clamp; 2]).all_closed());
+        assert!(
+            !mask(Wrap::Clamp).all_closed() && !Mask::open([3, 3], [Wrap::Clamp; 2]).all_closed()
+        );
     }
 
     #[test]
     fn a_line_finds_the_texel_where_it_meets_the_triangle() {
-        let part = Part { first: 5, count: 1, mask: 0 };
-        let masks =
-            Masks::new(vec![mask(Wrap::Repeat)], vec![part], vec![[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]]);
+        let part = Part {
+            first: 5,
+            count: 1,
+            mask: 0,
+        };
+        let masks = Masks::new(
+            vec![mask(Wrap::Repeat)],
+            vec![part],
+            vec![[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]],
+        );
         let v = [Vec3::ZERO, Vec3::X * 8.0, Vec3::Y * 8.0];
         let met = |x: f32, y: f32| masks.block(5, v, [x - 1.0, y - 2.0, -3.0], [1.0, 2.0, 3.0]);
-        assert_eq!([0.5, 2.5, 4.5, 6.5].map(|x| met(x, 0.5)), [false, true, false, true]);
+        assert_eq!(
+            [0.5, 2.5, 4.5, 6.5].map(|x| met(x, 0.5)),
+            [false, true, false, true]
+        );
         assert!(met(0.5, 5.0));
-        assert!(!masks.block(5, v, [0.0, 5.0, 0.0], [1.0, 0.0, 0.0]), "a line in the plane");
-        assert!(!masks.block(4, v, [0.5, 5.0, 1.0], [0.0, 0.0, -1.0]), "a triangle without a mask");
+        assert!(
+            !masks.block(5, v, [0.0, 5.0, 0.0], [1.0, 0.0, 0.0]),
+            "a line in the plane"
+        );
+        assert!(
+            !masks.block(4, v, [0.5, 5.0, 1.0], [0.0, 0.0, -1.0]),
+            "a triangle without a mask"
+        );
     }
 
     #[test]
     fn parts_are_joined_and_masks_numbered_by_use() {
         let parts = [(2, 1, 1), (3, 2, 1), (5, 0, 0), (7, 1, 2)];
-        let parts = parts.map(|(first, count, mask)| Part { first, count, mask }).to_vec();
+        let parts = parts
+            .map(|(first, count, mask)| Part { first, count, mask })
+            .to_vec();
         let three = [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp].map(mask).to_vec();
         let coordinates: Vec<Coordinates> = (0..4).map(|i| [[i as f32, 0.5]; 3]).collect();
         let masks = Masks::new(three, parts, coordinates);
         assert_eq!(masks.masks.len(), 2);
         let found = |t: u32| masks.of(t).map(|(m, c)| (m.wrap[0], c[0][0]));
-        assert_eq!((0..9).filter_map(found).map(|f| f.1).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 3.0]);
-        assert_eq!((found(4), found(7)), (Some((Wrap::Mirror, 2.0)), Some((Wrap::Clamp, 3.0))));
+        assert_eq!(
+            (0..9).filter_map(found).map(|f| f.1).collect::<Vec<_>>(),
+            [0.0, 1.0, 2.0, 3.0]
+        );
+        assert_eq!(
+            (found(4), found(7)),
+            (Some((Wrap::Mirror, 2.0)), Some((Wrap::Clamp, 3.0)))
+        );
         assert_eq!((found(1), found(5), found(8)), (None, None, None));
     }
 
     #[test]
     fn damaged_bytes_are_refused() {
-        let part = Part { first: 5, count: 2, mask: 0 };
-        let masks = Masks::new(vec![mask(Wrap::Repeat)], vec![part], vec![[[0.25; 2]; 3]; 2]);
+        let part = Part {
+            first: 5,
+            count: 2,
+            mask: 0,
+        };
+        let masks = Masks::new(
+            vec![mask(Wrap::Repeat)],
+            vec![part],
+            vec![[[0.25; 2]; 3]; 2],
+        );
         let mut bytes = Vec::new();
         write(&masks, &mut |part| bytes.extend_from_slice(part));
         assert_eq!(read(&bytes).as_ref(), Ok(&masks));
@@ -379,9 +495,14 @@ mod tests {
         };
         // More masks than there are; a mask of 10¹⁸ texels or none; an unknown wrap mode; too many triangles.
         let [many, none] = [[255; 4], [0; 4]];
-        for (at, value) in
-            [(0, &many[..]), (4, &many[..]), (8, &none[..]), (12, &[3][..]), (23, &many[..]), (27, &many[..])]
-        {
+        for (at, value) in [
+            (0, &many[..]),
+            (4, &many[..]),
+            (8, &none[..]),
+            (12, &[3][..]),
+            (23, &many[..]),
+            (27, &many[..]),
+        ] {
             assert!(with(at, value).is_err(), "{at}");
         }
         assert!(with(31, &f32::NAN.to_le_bytes()).is_err());

@@ -17,7 +17,10 @@ use crate::{Aabb, Scene, Triangle};
 pub fn triangle_touches_box(t: &Triangle, b: &Aabb) -> bool {
     b.min.cmple(b.max).all()
         && t.bounds().touches(b)
-        && (t.v.iter().any(|v| b.min.cmple(*v).all() && v.cmple(b.max).all())
+        && (t
+            .v
+            .iter()
+            .any(|v| b.min.cmple(*v).all() && v.cmple(b.max).all())
             || !edge_separates(t, b, 0, 1)
                 && !edge_separates(t, b, 1, 2)
                 && !edge_separates(t, b, 2, 0)
@@ -78,7 +81,8 @@ fn plane_meets(t: &Triangle, b: &Aabb) -> bool {
             back[axis] = b.min[axis];
         }
     }
-    orient3d_sign(p, q, r, front) != Ordering::Less && orient3d_sign(p, q, r, back) != Ordering::Greater
+    orient3d_sign(p, q, r, front) != Ordering::Less
+        && orient3d_sign(p, q, r, back) != Ordering::Greater
 }
 
 #[cfg(test)]
@@ -89,11 +93,16 @@ mod tests {
     use crate::Object;
 
     fn tri(v: [[f32; 3]; 3]) -> Triangle {
-        Triangle { v: v.map(Vec3::from) }
+        Triangle {
+            v: v.map(Vec3::from),
+        }
     }
 
     fn unit() -> Aabb {
-        Aabb { min: Vec3::ZERO, max: Vec3::ONE }
+        Aabb {
+            min: Vec3::ZERO,
+            max: Vec3::ONE,
+        }
     }
 
     /// Clips the triangle by the box's six half-spaces in homogeneous integers; what is left decides.
@@ -104,8 +113,10 @@ mod tests {
             }
             a.abs().max(1)
         };
-        let mut polygon: Vec<[i128; 4]> =
-            v.iter().map(|p| [p[0].into(), p[1].into(), p[2].into(), 1]).collect();
+        let mut polygon: Vec<[i128; 4]> = v
+            .iter()
+            .map(|p| [p[0].into(), p[1].into(), p[2].into(), 1])
+            .collect();
         for axis in 0..3 {
             for (bound, s) in [(i128::from(lo[axis]), 1), (i128::from(hi[axis]), -1)] {
                 let d = |p: &[i128; 4]| s * (p[axis] - bound * p[3]);
@@ -132,8 +143,14 @@ mod tests {
     fn touching_counts_and_the_next_float_does_not() {
         let up = |x: f32| f32::from_bits(x.to_bits() + 1);
         // A face, an edge and a corner that only touch.
-        assert!(triangle_touches_box(&tri([[1., 0., 0.], [1., 1., 0.], [1., 0., 1.]]), &unit()));
-        assert!(!triangle_touches_box(&tri([[up(1.), 0., 0.], [up(1.), 1., 0.], [up(1.), 0., 1.]]), &unit()));
+        assert!(triangle_touches_box(
+            &tri([[1., 0., 0.], [1., 1., 0.], [1., 0., 1.]]),
+            &unit()
+        ));
+        assert!(!triangle_touches_box(
+            &tri([[up(1.), 0., 0.], [up(1.), 1., 0.], [up(1.), 0., 1.]]),
+            &unit()
+        ));
         let corner = |s: f32| tri([[s, 0., 0.], [0., s, 0.], [0., 0., s]]);
         assert!(triangle_touches_box(&corner(3.), &unit()));
         assert!(!triangle_touches_box(&corner(up(3.)), &unit()));
@@ -146,15 +163,35 @@ mod tests {
     fn slivers_are_decided_by_their_last_bit() {
         // Passes the box's edge x = 1, y = 1 at a distance that is far below the rounding of f64 products.
         let far = 16_777_216.0f32;
-        let sliver =
-            |e: f32| tri([[1. + far, 1. - far, 0.25], [1. - far, 1. + far, 0.25], [far, far + e, 0.25]]);
+        let sliver = |e: f32| {
+            tri([
+                [1. + far, 1. - far, 0.25],
+                [1. - far, 1. + far, 0.25],
+                [far, far + e, 0.25],
+            ])
+        };
         assert!(triangle_touches_box(&sliver(2.), &unit()));
-        let off = tri([[far, -far + 2., 0.25], [-far + 2., far, 0.25], [far, far, 0.25]]);
-        assert!(triangle_touches_box(&off, &unit()), "x + y = 2 passes through the corner");
-        let past = tri([[far, -far + 3., 0.25], [-far + 2., far, 0.25], [far, far, 0.25]]);
+        let off = tri([
+            [far, -far + 2., 0.25],
+            [-far + 2., far, 0.25],
+            [far, far, 0.25],
+        ]);
+        assert!(
+            triangle_touches_box(&off, &unit()),
+            "x + y = 2 passes through the corner"
+        );
+        let past = tri([
+            [far, -far + 3., 0.25],
+            [-far + 2., far, 0.25],
+            [far, far, 0.25],
+        ]);
         assert!(!triangle_touches_box(&past, &unit()));
         // A needle along the diagonal, with hardly any area.
-        let needle = tri([[-1e30, -1e30, -1e30], [1e30, 1e30, 1e30], [1e30, 1e30, 1.000_000_1e30]]);
+        let needle = tri([
+            [-1e30, -1e30, -1e30],
+            [1e30, 1e30, 1e30],
+            [1e30, 1e30, 1.000_000_1e30],
+        ]);
         assert!(triangle_touches_box(&needle, &unit()));
     }
 
@@ -164,10 +201,17 @@ mod tests {
         let miss = tri([[-1., 1.5, 0.], [0.5, 3., 0.], [0., 2.5, 0.]]);
         let hit = tri([[0.2, 0.2, 0.2], [0.4, 0.2, 0.2], [0.2, 0.4, 0.2]]);
         assert!(triangle_touches_box(&segment, &unit()) && !triangle_touches_box(&miss, &unit()));
-        let objects = vec![Object { name: "all".into(), first: 0, count: 4 }];
+        let objects = vec![Object {
+            name: "all".into(),
+            first: 0,
+            count: 4,
+        }];
         let scene = Scene::new("test", vec![hit, segment, miss, hit], objects).unwrap();
         assert_eq!(triangles_in_box(&scene, None, &unit()), [0, 3]);
-        assert_eq!(triangles_in_box(&scene, Some(&[3, 1, 3, 0, 99]), &unit()), [0, 3]);
+        assert_eq!(
+            triangles_in_box(&scene, Some(&[3, 1, 3, 0, 99]), &unit()),
+            [0, 3]
+        );
         assert!(triangles_in_box(&scene, None, &Aabb::EMPTY).is_empty());
     }
 

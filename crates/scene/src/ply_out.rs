@@ -24,7 +24,11 @@ pub fn write_mesh_ply(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
     };
     // Most readers know `int`; `uint` only where it is needed.
-    let index = if i32::try_from(vertices).is_ok() { "int" } else { "uint" };
+    let index = if i32::try_from(vertices).is_ok() {
+        "int"
+    } else {
+        "uint"
+    };
     write!(
         out,
         "ply\nformat binary_little_endian 1.0\ncomment triangle id = face number; vertex 3*id + corner\n\

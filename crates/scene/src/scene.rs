@@ -98,7 +98,11 @@ impl Scene {
     /// # Errors
     /// [`SceneError::Bad`] when there is no triangle, more than `u32::MAX - 1` of them, a vertex that is not
     /// finite, or objects that do not tile the ids.
-    pub fn new(file: &str, triangles: Vec<Triangle>, objects: Vec<Object>) -> Result<Self, SceneError> {
+    pub fn new(
+        file: &str,
+        triangles: Vec<Triangle>,
+        objects: Vec<Object>,
+    ) -> Result<Self, SceneError> {
         if triangles.is_empty() {
             return Err(SceneError::bad(
                 file,
@@ -175,14 +179,22 @@ impl Scene {
     /// [`SceneError::Bad`] with the first triangle that reaches farther.
     pub fn check_reach(&self, file: &str) -> Result<(), SceneError> {
         let corner = |v: &Vec3| v.abs().max_element() > MAX_COORDINATE;
-        let far =
-            self.triangles.iter().enumerate().find_map(|(i, t)| Some((i, t.v.iter().position(corner)?)));
-        let Some((i, corner)) = far else { return Ok(()) };
+        let far = self
+            .triangles
+            .iter()
+            .enumerate()
+            .find_map(|(i, t)| Some((i, t.v.iter().position(corner)?)));
+        let Some((i, corner)) = far else {
+            return Ok(());
+        };
         let v = self.triangles[i].v[corner];
         Err(SceneError::bad(
             file,
             format!("triangle {i}, vertex {corner}"),
-            format!("its position ({}, {}, {}) is beyond ±{MAX_COORDINATE:e}", v.x, v.y, v.z),
+            format!(
+                "its position ({}, {}, {}) is beyond ±{MAX_COORDINATE:e}",
+                v.x, v.y, v.z
+            ),
             "remove the vertex if it is astray, or move or scale the scene, and export again",
         ))
     }
@@ -217,7 +229,11 @@ impl Scene {
     pub fn with_masks(self, file: &str, kinds: Kinds, masks: Masks) -> Result<Self, SceneError> {
         kinds.check(file, self.len())?;
         masks.check(file, &kinds)?;
-        Ok(Self { kinds, masks, ..self })
+        Ok(Self {
+            kinds,
+            masks,
+            ..self
+        })
     }
 
     /// The kinds of the triangles.
@@ -232,7 +248,8 @@ impl Scene {
 
     /// Whether masked triangle `id` blocks the line from `origin` along `direction` where the line meets it.
     pub fn mask_blocks(&self, id: u32, origin: [f32; 3], direction: [f32; 3]) -> bool {
-        self.masks.block(id, self.triangles[id as usize].v, origin, direction)
+        self.masks
+            .block(id, self.triangles[id as usize].v, origin, direction)
     }
 
     /// The scene with other sides of triangles.
@@ -262,7 +279,11 @@ impl Scene {
         }
         let [a, b, c] = self.triangles[id as usize].v.map(|v| v.as_dvec3());
         let normal = (b - a).cross(c - a);
-        if side == Side::Clockwise { -normal } else { normal }
+        if side == Side::Clockwise {
+            -normal
+        } else {
+            normal
+        }
     }
 
     /// Whether triangle `id` ends all sight lines: it has an area, and its kind blocks.
@@ -337,7 +358,10 @@ impl Scene {
                 (with_sides, HAS_SIDES),
                 (with_sources, HAS_SOURCES),
             ];
-            let flags = flags.iter().filter(|(has, _)| *has).fold(0, |all, (_, flag)| all | flag);
+            let flags = flags
+                .iter()
+                .filter(|(has, _)| *has)
+                .fold(0, |all, (_, flag)| all | flag);
             take(&flags.to_le_bytes());
         }
         take(&self.len().to_le_bytes());
@@ -394,7 +418,9 @@ impl Scene {
             (Some(BLOB_MAGIC_KINDS), _) => (false, HAS_KINDS),
             (Some(BLOB_MAGIC_MASKS), _) => (false, HAS_KINDS | HAS_MASKS),
             // Sides or sources are there, and masks only with kinds.
-            (Some(BLOB_MAGIC_FLAGS), Some(flags @ 4..16)) if flags & 3 != HAS_MASKS => (true, flags),
+            (Some(BLOB_MAGIC_FLAGS), Some(flags @ 4..16)) if flags & 3 != HAS_MASKS => {
+                (true, flags)
+            }
             _ => return Err(bad("header", "it is not a canonical scene")),
         };
         let head = if flagged { 12 } else { 8 };
@@ -429,7 +455,11 @@ impl Scene {
                 .and_then(|b| std::str::from_utf8(b).ok())
                 .ok_or_else(|| bad(&element, "its name is cut short or not UTF-8"))?;
             at += len as usize;
-            objects.push(Object { name: name.to_owned(), first, count });
+            objects.push(Object {
+                name: name.to_owned(),
+                first,
+                count,
+            });
             first = first
                 .checked_add(count)
                 .filter(|f| *f <= n)
@@ -439,7 +469,9 @@ impl Scene {
         let count = objects.len();
         let scene = Self::new(source, triangles, objects)?;
         let end = match has(HAS_SOURCES) {
-            true => (bytes.len() - at).checked_sub(sources::length(count)).map(|length| at + length),
+            true => (bytes.len() - at)
+                .checked_sub(sources::length(count))
+                .map(|length| at + length),
             false => Some(bytes.len()),
         };
         let end = end.ok_or_else(|| bad("sources", "there is not one source for each object"))?;
@@ -460,7 +492,9 @@ impl Scene {
         if !rest.is_empty() {
             return Err(bad("end", "there are bytes after the scene"));
         }
-        let scene = scene.with_sources(source, places)?.with_sides(source, sides)?;
+        let scene = scene
+            .with_sources(source, places)?
+            .with_sides(source, sides)?;
         scene.with_masks(source, kinds, masks)
     }
 

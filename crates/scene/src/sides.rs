@@ -50,7 +50,8 @@ impl Sides {
     /// The sides given by runs of (number of triangles, side) in id order.
     pub fn from_runs(runs: impl IntoIterator<Item = (u32, Side)>) -> Self {
         let mut of = Vec::new();
-        runs.into_iter().for_each(|(count, side)| of.resize(of.len() + count as usize, side));
+        runs.into_iter()
+            .for_each(|(count, side)| of.resize(of.len() + count as usize, side));
         match of.iter().all(|s| *s == Side::Both) {
             true => Self::both(),
             false => Self { of },
@@ -80,7 +81,10 @@ impl Sides {
         Err(SceneError::bad(
             file,
             "sides",
-            format!("they are given for {} triangles of {triangles}", self.of.len()),
+            format!(
+                "they are given for {} triangles of {triangles}",
+                self.of.len()
+            ),
             "upload the scene again with this version of the program",
         ))
     }
@@ -104,13 +108,18 @@ pub(crate) fn write(sides: &Sides, out: &mut Vec<u8>) {
 pub(crate) fn read(bytes: &[u8], triangles: u32) -> Result<(Sides, &[u8]), &'static str> {
     let short = "the sides are cut short";
     let (head, rest) = bytes.split_first_chunk::<4>().ok_or(short)?;
-    let length = (u32::from_le_bytes(*head) as usize).checked_mul(RUN_BYTES).ok_or(short)?;
+    let length = (u32::from_le_bytes(*head) as usize)
+        .checked_mul(RUN_BYTES)
+        .ok_or(short)?;
     let (runs, rest) = rest.split_at_checked(length).ok_or(short)?;
     let mut read: Vec<(u32, Side)> = Vec::with_capacity(runs.len() / RUN_BYTES);
     let mut covered = 0u64;
     for run in runs.chunks_exact(RUN_BYTES) {
         let count = u32::from_le_bytes([run[0], run[1], run[2], run[3]]);
-        let side = Side::ALL.get(usize::from(run[4])).copied().ok_or("a side is unknown")?;
+        let side = Side::ALL
+            .get(usize::from(run[4]))
+            .copied()
+            .ok_or("a side is unknown")?;
         covered += u64::from(count);
         if count == 0 || covered > u64::from(triangles) {
             return Err("a run of sides is empty or reaches beyond the triangles");
@@ -167,7 +176,8 @@ mod tests {
     #[test]
     fn bytes_that_are_not_canonical_sides_are_refused() {
         let run = |count: u32, side: u8| [&count.to_le_bytes()[..], &[side]].concat();
-        let section = |runs: &[Vec<u8>]| [&(runs.len() as u32).to_le_bytes()[..], &runs.concat()].concat();
+        let section =
+            |runs: &[Vec<u8>]| [&(runs.len() as u32).to_le_bytes()[..], &runs.concat()].concat();
         assert!(read(&section(&[run(2, 1), run(1, 0)]), 3).is_ok());
         for bad in [
             section(&[run(3, 0)]),
@@ -185,6 +195,9 @@ mod tests {
     fn a_mirrored_triangle_is_turned_unless_it_has_both_sides() {
         assert_eq!(Side::of(false, false), Side::CounterClockwise);
         assert_eq!(Side::of(false, true), Side::Clockwise);
-        assert_eq!([Side::of(true, false), Side::of(true, true)], [Side::Both; 2]);
+        assert_eq!(
+            [Side::of(true, false), Side::of(true, true)],
+            [Side::Both; 2]
+        );
     }
 }

@@ -28,7 +28,11 @@ pub(crate) fn length(objects: usize) -> usize {
 /// The canonical bytes of the sources.
 pub(crate) fn write(sources: &[Source]) -> Vec<u8> {
     let entry = |s: &Source| [s.node, s.mesh, s.primitive, s.instance.unwrap_or(u32::MAX)];
-    sources.iter().flat_map(entry).flat_map(u32::to_le_bytes).collect()
+    sources
+        .iter()
+        .flat_map(entry)
+        .flat_map(u32::to_le_bytes)
+        .collect()
 }
 
 /// Reads one source for each of `objects` objects from the end of a canonical scene.

@@ -46,13 +46,22 @@ impl Solids {
         // One key for each directed edge: lesser vertex, greater vertex, triangle, and whether it runs
         // upwards.
         let mut edges: Vec<u128> = Vec::with_capacity(3 * n);
-        let solid: Vec<bool> =
-            (0..).zip(scene.triangles()).map(|(id, t)| !t.is_degenerate() && counts(id)).collect();
-        for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
+        let solid: Vec<bool> = (0..)
+            .zip(scene.triangles())
+            .map(|(id, t)| !t.is_degenerate() && counts(id))
+            .collect();
+        for (id, c) in corners
+            .chunks_exact(3)
+            .enumerate()
+            .filter(|(id, _)| solid[*id])
+        {
             for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
                 let (lo, hi) = (a.min(b), a.max(b));
                 edges.push(
-                    u128::from(lo) << 96 | u128::from(hi) << 64 | (id as u128) << 1 | u128::from(a < b),
+                    u128::from(lo) << 96
+                        | u128::from(hi) << 64
+                        | (id as u128) << 1
+                        | u128::from(a < b),
                 );
             }
         }
@@ -76,10 +85,15 @@ impl Solids {
         let roots: Vec<u32> = (0..n as u32).map(|id| surface.root(id)).collect();
         let signs = volume_signs(scene, &roots, |id| solid[id] && closed[roots[id] as usize]);
         let facing = (0..n)
-            .map(|id| match (solid[id] && closed[roots[id] as usize], signs[roots[id] as usize]) {
-                (true, Ordering::Greater) => 1,
-                (true, Ordering::Less) => -1,
-                _ => 0,
+            .map(|id| {
+                match (
+                    solid[id] && closed[roots[id] as usize],
+                    signs[roots[id] as usize],
+                ) {
+                    (true, Ordering::Greater) => 1,
+                    (true, Ordering::Less) => -1,
+                    _ => 0,
+                }
             })
             .collect();
         Ok(Self { facing })
@@ -88,7 +102,10 @@ impl Solids {
     /// +1 when the normal (v1 − v0) × (v2 − v0) of triangle `id` points out of the closed solid it bounds, −1
     /// when it points in, `None` when it bounds none (or one of no volume, or `id` is not in the scene).
     pub fn outward(&self, id: u32) -> Option<f32> {
-        self.facing.get(id as usize).filter(|f| **f != 0).map(|f| f32::from(*f))
+        self.facing
+            .get(id as usize)
+            .filter(|f| **f != 0)
+            .map(|f| f32::from(*f))
     }
 
     /// Whether `p` lies on the outer side of triangle `id`'s plane. A sample whose pixels are mostly of that
@@ -122,11 +139,20 @@ fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>>
     let mut keys: Vec<(u64, u32)> = all
         .par_iter()
         .enumerate()
-        .map(|(id, t)| (t.v.iter().fold(0, |sum: u64, v| sum.wrapping_add(hash(position(*v)))), id as u32))
+        .map(|(id, t)| {
+            (
+                t.v.iter()
+                    .fold(0, |sum: u64, v| sum.wrapping_add(hash(position(*v)))),
+                id as u32,
+            )
+        })
         .collect();
     keys.par_sort_unstable();
     let mut classes: Vec<Vec<u32>> = Vec::new();
-    for group in keys.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1) {
+    for group in keys
+        .chunk_by(|a, b| a.0 == b.0)
+        .filter(|group| group.len() > 1)
+    {
         let mut same: Vec<([u128; 3], u32)> = group
             .iter()
             .filter(|(_, id)| !all[*id as usize].is_degenerate())
@@ -137,7 +163,9 @@ fn classes(all: &[Triangle], hash: impl Fn(u128) -> u64 + Sync) -> Vec<Vec<u32>>
             })
             .collect();
         same.sort_unstable();
-        let found = same.chunk_by(|a, b| a.0 == b.0).filter(|class| class.len() > 1);
+        let found = same
+            .chunk_by(|a, b| a.0 == b.0)
+            .filter(|class| class.len() > 1);
         classes.extend(found.map(|class| class.iter().map(|(_, id)| *id).collect()));
     }
     classes.sort_unstable();
@@ -205,16 +233,24 @@ pub fn corner_vertices(scene: &Scene) -> Result<Vec<u32>, SceneError> {
 fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) -> Vec<Ordering> {
     let n = roots.len();
     let mut total = vec![(0.0f64, 0.0f64, 0u32); n];
-    for (id, t) in scene.triangles().iter().enumerate().filter(|(id, _)| counts(*id)) {
+    for (id, t) in scene
+        .triangles()
+        .iter()
+        .enumerate()
+        .filter(|(id, _)| counts(*id))
+    {
         let o = scene.triangles()[roots[id] as usize].v[0].as_dvec3();
         let [a, b, c] = t.v.map(|v| (v.as_dvec3() - o).to_array());
         let (det, magnitude) = det3(a, b, c);
         let sum = &mut total[roots[id] as usize];
         *sum = (sum.0 + det, sum.1 + magnitude, sum.2 + 1);
     }
-    let open = |s: &(f64, f64, u32)| s.2 > 0 && s.0.abs() <= (f64::from(s.2) + 16.0) * f64::EPSILON * s.1;
-    let mut signs: Vec<Ordering> =
-        total.iter().map(|s| s.0.partial_cmp(&0.0).unwrap_or(Ordering::Equal)).collect();
+    let open =
+        |s: &(f64, f64, u32)| s.2 > 0 && s.0.abs() <= (f64::from(s.2) + 16.0) * f64::EPSILON * s.1;
+    let mut signs: Vec<Ordering> = total
+        .iter()
+        .map(|s| s.0.partial_cmp(&0.0).unwrap_or(Ordering::Equal))
+        .collect();
     // The triangles of surfaces whose sign is open, grouped by surface.
     let mut again: Vec<(u32, u32)> = (0..n)
         .filter(|id| counts(*id) && open(&total[roots[*id] as usize]))
@@ -225,7 +261,9 @@ fn volume_signs(scene: &Scene, roots: &[u32], counts: impl Fn(usize) -> bool) ->
         let mut sum = Sum::default();
         for (_, id) in group {
             let [a, b, c] = scene.triangles()[*id as usize].v;
-            det3_terms(a, b, c).into_iter().for_each(|term| sum.add(term));
+            det3_terms(a, b, c)
+                .into_iter()
+                .for_each(|term| sum.add(term));
         }
         signs[group[0].0 as usize] = sum.sign();
     }
@@ -239,21 +277,40 @@ mod tests {
 
     /// The twelve triangles of a box, facing outwards.
     fn cube(at: Vec3, size: f32) -> Vec<Triangle> {
-        let p = |i: u32| at + size * Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32);
-        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
-            .iter()
-            .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
-            .map(|t| Triangle { v: t.map(p) })
-            .collect()
+        let p =
+            |i: u32| at + size * Vec3::new((i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32);
+        [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ]
+        .iter()
+        .flat_map(|q| [[q[0], q[1], q[2]], [q[0], q[2], q[3]]])
+        .map(|t| Triangle { v: t.map(p) })
+        .collect()
     }
 
     fn scene(triangles: Vec<Triangle>) -> Scene {
         let count = triangles.len() as u32;
-        Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+        Scene::new(
+            "test",
+            triangles,
+            vec![Object {
+                name: "all".into(),
+                first: 0,
+                count,
+            }],
+        )
+        .unwrap()
     }
 
     fn flipped(t: &Triangle) -> Triangle {
-        Triangle { v: [t.v[0], t.v[2], t.v[1]] }
+        Triangle {
+            v: [t.v[0], t.v[2], t.v[1]],
+        }
     }
 
     #[test]
@@ -271,17 +328,27 @@ mod tests {
         assert_eq!(facing[12..24], [Some(-1.0); 12]);
         assert_eq!(facing[24..], [None; 23]);
         assert_eq!(solids.outward(47), None);
-        assert_eq!(solids.exterior(&s, 0, Vec3::new(0.5, 0.5, -1.0)), Some(true));
+        assert_eq!(
+            solids.exterior(&s, 0, Vec3::new(0.5, 0.5, -1.0)),
+            Some(true)
+        );
         assert_eq!(solids.exterior(&s, 0, Vec3::splat(0.5)), Some(false));
         assert_eq!(solids.exterior(&s, 0, Vec3::new(7.0, 7.0, 0.0)), None);
-        assert_eq!(solids.exterior(&s, 12, Vec3::splat(1e6 + 0.25)), Some(false));
+        assert_eq!(
+            solids.exterior(&s, 12, Vec3::splat(1e6 + 0.25)),
+            Some(false)
+        );
     }
 
     #[test]
     fn degenerate_triangles_neither_close_nor_open_a_solid() {
         let mut soup = cube(Vec3::ZERO, 1.0);
-        soup.push(Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::ZERO] });
-        soup.push(Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::X * 0.5] });
+        soup.push(Triangle {
+            v: [Vec3::ZERO, Vec3::X, Vec3::ZERO],
+        });
+        soup.push(Triangle {
+            v: [Vec3::ZERO, Vec3::X, Vec3::X * 0.5],
+        });
         let solids = Solids::of(&scene(soup)).unwrap();
         assert_eq!(solids.outward(0), Some(1.0));
         assert_eq!(solids.outward(12), None);
@@ -291,21 +358,33 @@ mod tests {
     #[test]
     fn a_see_through_side_leaves_a_solid_of_blocking_triangles_open() {
         let kinds = |see_through: u32| {
-            let runs =
-                [(12 - see_through, Kind::Opaque, "a test"), (see_through, Kind::SeeThrough, "a test")];
+            let runs = [
+                (12 - see_through, Kind::Opaque, "a test"),
+                (see_through, Kind::SeeThrough, "a test"),
+            ];
             let runs = runs.into_iter().filter(|r| r.0 > 0);
-            scene(cube(Vec3::ZERO, 1.0)).with_kinds("test", Kinds::from_runs(runs, Vec::new())).unwrap()
+            scene(cube(Vec3::ZERO, 1.0))
+                .with_kinds("test", Kinds::from_runs(runs, Vec::new()))
+                .unwrap()
         };
         assert_eq!(Solids::of(&kinds(1)).unwrap().outward(0), Some(1.0));
         let open = Solids::of_blocking(&kinds(1)).unwrap();
         assert!((0..12).all(|id| open.outward(id).is_none()));
-        assert_eq!(Solids::of_blocking(&kinds(0)).unwrap().outward(0), Some(1.0));
+        assert_eq!(
+            Solids::of_blocking(&kinds(0)).unwrap().outward(0),
+            Some(1.0)
+        );
     }
 
     #[test]
     fn a_doubled_sheet_has_no_inside() {
-        let t =
-            Triangle { v: [Vec3::new(1.1, 2.3, 0.7), Vec3::new(5.9, 0.1, 0.3), Vec3::new(0.2, 0.9, 8.7)] };
+        let t = Triangle {
+            v: [
+                Vec3::new(1.1, 2.3, 0.7),
+                Vec3::new(5.9, 0.1, 0.3),
+                Vec3::new(0.2, 0.9, 8.7),
+            ],
+        };
         let solids = Solids::of(&scene(vec![t, flipped(&t)])).unwrap();
         assert_eq!((solids.outward(0), solids.outward(1)), (None, None));
     }
@@ -314,10 +393,22 @@ mod tests {
     fn a_flat_far_tetrahedron_is_decided_exactly() {
         // One unit in the last place high, far from the origin.
         let s = 8_388_608.0f32;
-        let p = [[s, s, s], [s + 64.0, s, s], [s, s + 64.0, s], [s + 1.0, s + 1.0, s + 1.0]].map(Vec3::from);
+        let p = [
+            [s, s, s],
+            [s + 64.0, s, s],
+            [s, s + 64.0, s],
+            [s + 1.0, s + 1.0, s + 1.0],
+        ]
+        .map(Vec3::from);
         let faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]];
-        let soup: Vec<Triangle> = faces.iter().map(|f| Triangle { v: f.map(|i| p[i]) }).collect();
-        assert_eq!(Solids::of(&scene(soup.clone())).unwrap().outward(2), Some(1.0));
+        let soup: Vec<Triangle> = faces
+            .iter()
+            .map(|f| Triangle { v: f.map(|i| p[i]) })
+            .collect();
+        assert_eq!(
+            Solids::of(&scene(soup.clone())).unwrap().outward(2),
+            Some(1.0)
+        );
         let inverted: Vec<Triangle> = soup.iter().map(flipped).collect();
         assert_eq!(Solids::of(&scene(inverted)).unwrap().outward(2), Some(-1.0));
     }
@@ -334,17 +425,34 @@ mod tests {
     #[test]
     fn duplicates_are_found_in_any_vertex_order() {
         let mut soup = cube(Vec3::ZERO, 1.0);
-        let again = [flipped(&soup[7]), soup[2], Triangle { v: [soup[7].v[2], soup[7].v[0], soup[7].v[1]] }];
+        let again = [
+            flipped(&soup[7]),
+            soup[2],
+            Triangle {
+                v: [soup[7].v[2], soup[7].v[0], soup[7].v[1]],
+            },
+        ];
         soup.extend(again);
         soup.extend([Triangle { v: [Vec3::ONE; 3] }; 2]);
-        assert_eq!(duplicates(&scene(soup)).unwrap(), [vec![2, 13], vec![7, 12, 14]]);
-        assert!(duplicates(&scene(cube(Vec3::ZERO, 1.0))).unwrap().is_empty());
+        assert_eq!(
+            duplicates(&scene(soup)).unwrap(),
+            [vec![2, 13], vec![7, 12, 14]]
+        );
+        assert!(
+            duplicates(&scene(cube(Vec3::ZERO, 1.0)))
+                .unwrap()
+                .is_empty()
+        );
     }
 
     #[test]
     fn duplicates_may_have_zeros_of_either_sign() {
         let mut soup = cube(Vec3::ZERO, 1.0);
-        soup.push(Triangle { v: soup[4].v.map(|v| v.map(|c| if c == 0.0 { -0.0 } else { c })) });
+        soup.push(Triangle {
+            v: soup[4]
+                .v
+                .map(|v| v.map(|c| if c == 0.0 { -0.0 } else { c })),
+        });
         assert_eq!(duplicates(&scene(soup)).unwrap(), [vec![4, 12]]);
     }
 
@@ -352,7 +460,12 @@ mod tests {
     fn triangles_of_one_hash_are_still_told_apart() {
         let soup = cube(Vec3::ZERO, 1.0);
         let again = [flipped(&soup[7]), soup[2], soup[7]];
-        let soup = [soup, again.to_vec(), vec![Triangle { v: [Vec3::ONE; 3] }; 2]].concat();
+        let soup = [
+            soup,
+            again.to_vec(),
+            vec![Triangle { v: [Vec3::ONE; 3] }; 2],
+        ]
+        .concat();
         assert_eq!(classes(&soup, |_| 0), [vec![2, 13], vec![7, 12, 14]]);
     }
 }

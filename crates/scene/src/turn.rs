@@ -7,7 +7,8 @@ pub(crate) fn of_quarters(quarters: f64) -> (f64, f64) {
     let xx = x * x;
     // |x| ≤ π/4: the first omitted term is below 1e-11, far below the resolution of f32.
     let sin = x * (1.0 - xx / 6.0 * (1.0 - xx / 20.0 * (1.0 - xx / 42.0 * (1.0 - xx / 72.0))));
-    let cos = 1.0 - xx / 2.0 * (1.0 - xx / 12.0 * (1.0 - xx / 30.0 * (1.0 - xx / 56.0 * (1.0 - xx / 90.0))));
+    let cos = 1.0
+        - xx / 2.0 * (1.0 - xx / 12.0 * (1.0 - xx / 30.0 * (1.0 - xx / 56.0 * (1.0 - xx / 90.0))));
     match (nearest as i64).rem_euclid(4) {
         0 => (cos, sin),
         1 => (-sin, cos),

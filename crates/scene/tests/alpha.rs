@@ -12,7 +12,10 @@ use sightline_scene::{Scene, SceneError};
 use support::{Gltf, SQUARE, card, png};
 
 fn with_alpha() -> Options {
-    Options { alpha_textures: true, ..Options::default() }
+    Options {
+        alpha_textures: true,
+        ..Options::default()
+    }
 }
 
 fn load(g: &Gltf) -> Loaded {
@@ -51,22 +54,35 @@ fn a_card_blocks_where_its_texels_do() {
     assert_eq!(kinds(&loaded.scene), [Kind::Masked; 2]);
     assert_eq!(drawn(&loaded.scene), ["..xx", "xx.x"]);
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-    let [count] = &loaded.scene.kinds().counts()[..] else { panic!("one kind") };
-    assert_eq!((count.kind, count.reason.as_str(), count.triangles), (Kind::Masked, "alphaMode MASK", 2));
+    let [count] = &loaded.scene.kinds().counts()[..] else {
+        panic!("one kind")
+    };
+    assert_eq!(
+        (count.kind, count.reason.as_str(), count.triangles),
+        (Kind::Masked, "alphaMode MASK", 2)
+    );
     // The masks are part of the canonical bytes and of the digest.
     let blob = loaded.scene.to_blob();
     assert!(blob.starts_with(b"SLSCENE5"));
     let again = Scene::from_blob("blob", &blob).unwrap();
-    assert_eq!((again.masks(), again.digest()), (loaded.scene.masks(), loaded.scene.digest()));
+    assert_eq!(
+        (again.masks(), again.digest()),
+        (loaded.scene.masks(), loaded.scene.digest())
+    );
     assert_eq!(again.to_blob(), blob);
-    assert_ne!(load(&card(&[0, 1, 7], |_| {})).scene.digest(), loaded.scene.digest());
+    assert_ne!(
+        load(&card(&[0, 1, 7], |_| {})).scene.digest(),
+        loaded.scene.digest()
+    );
     for end in (0..blob.len()).chain([blob.len() + 1]) {
         let mut changed = blob.clone();
         changed.resize(end, 0);
         assert!(Scene::from_blob("blob", &changed).is_err(), "{end}");
     }
     // Without the option nothing is read, and the bytes are those of before.
-    let without = load_bytes_with("test.glb", &g.glb(), None, &Options::default()).unwrap().scene;
+    let without = load_bytes_with("test.glb", &g.glb(), None, &Options::default())
+        .unwrap()
+        .scene;
     assert_eq!(kinds(&without), [Kind::SeeThrough; 2]);
     assert!(without.to_blob().starts_with(b"SLSCENE5"));
     let broken = card(&[0], |g| g.json["textures"] = json!([{"source": 7}]));
@@ -79,29 +95,52 @@ fn masks_that_are_alike_everywhere_are_closed_or_open() {
     assert_eq!(kinds(&closed), [Kind::Opaque; 2]);
     // That textures were read is kept, so that a result says how its scene is to be read.
     assert!(closed.kinds().alpha_textures() && closed.kinds().all_opaque());
-    assert_eq!(closed.kinds().counts()[0].reason, "alphaMode MASK, opaque everywhere");
+    assert_eq!(
+        closed.kinds().counts()[0].reason,
+        "alphaMode MASK, opaque everywhere"
+    );
     let again = Scene::from_blob("blob", &closed.to_blob()).unwrap();
-    assert_eq!((again.kinds(), again.to_blob()), (closed.kinds(), closed.to_blob()));
-    assert_eq!(drawn(&load(&card(&[0, 1, 2, 3, 4, 5, 6, 7], |_| {})).scene), ["....", "...."]);
+    assert_eq!(
+        (again.kinds(), again.to_blob()),
+        (closed.kinds(), closed.to_blob())
+    );
+    assert_eq!(
+        drawn(&load(&card(&[0, 1, 2, 3, 4, 5, 6, 7], |_| {})).scene),
+        ["....", "...."]
+    );
     // Without a texture the factor decides.
     let factor = |alpha: f64| {
         let of = json!({"baseColorFactor": [1, 1, 1, alpha]});
-        load(&card(&[], |g| g.json["materials"][0]["pbrMetallicRoughness"] = of)).scene
+        load(&card(&[], |g| {
+            g.json["materials"][0]["pbrMetallicRoughness"] = of
+        }))
+        .scene
     };
     assert_eq!(kinds(&factor(0.5)), [Kind::Opaque; 2]);
-    assert_eq!((kinds(&factor(0.4)), drawn(&factor(0.4))[0].as_str()), (vec![Kind::Masked; 2], "...."));
+    assert_eq!(
+        (kinds(&factor(0.4)), drawn(&factor(0.4))[0].as_str()),
+        (vec![Kind::Masked; 2], "....")
+    );
     // The factor and the cutoff count for textures, too.
     let both = |alpha: f64, cutoff: f64| {
         kinds(
             &load(&card(&[0], |g| {
-                g.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] = json!([0, 0, 0, alpha]);
+                g.json["materials"][0]["pbrMetallicRoughness"]["baseColorFactor"] =
+                    json!([0, 0, 0, alpha]);
                 g.json["materials"][0]["alphaCutoff"] = json!(cutoff);
             }))
             .scene,
         )
     };
-    assert_eq!(both(0.6, 0.0), [Kind::Opaque; 2], "every alpha reaches a cutoff of 0");
-    assert_eq!((both(0.6, 0.6), both(0.6, 0.7)), (vec![Kind::Masked; 2], vec![Kind::Masked; 2]));
+    assert_eq!(
+        both(0.6, 0.0),
+        [Kind::Opaque; 2],
+        "every alpha reaches a cutoff of 0"
+    );
+    assert_eq!(
+        (both(0.6, 0.6), both(0.6, 0.7)),
+        (vec![Kind::Masked; 2], vec![Kind::Masked; 2])
+    );
 }
 
 #[test]
@@ -109,7 +148,8 @@ fn textures_are_placed_as_the_file_says() {
     let placed = |transform: Value, sampler: Value| {
         drawn(
             &load(&card(&[0, 1, 6], |g| {
-                let texture = &mut g.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"];
+                let texture =
+                    &mut g.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"];
                 texture["extensions"] = json!({"KHR_texture_transform": transform});
                 g.json["textures"][0]["sampler"] = json!(0);
                 g.json["samplers"] = json!([sampler]);
@@ -118,13 +158,31 @@ fn textures_are_placed_as_the_file_says() {
         )
     };
     assert_eq!(placed(json!({}), json!({})), ["..xx", "xx.x"]);
-    assert_eq!(placed(json!({"offset": [0.25, 0]}), json!({})), [".xx.", "x.xx"]);
-    assert_eq!(placed(json!({"offset": [0.25, 0]}), json!({"wrapS": 33071})), [".xxx", "x.xx"]);
-    assert_eq!(placed(json!({"offset": [-0.25, 0]}), json!({"wrapS": 33648})), ["...x", "xxx."]);
-    assert_eq!(placed(json!({"offset": [0, 0.5]}), json!({})), ["xx.x", "..xx"]);
-    assert_eq!(placed(json!({"offset": [0, 0.5]}), json!({"wrapT": 33071})), ["xx.x", "xx.x"]);
+    assert_eq!(
+        placed(json!({"offset": [0.25, 0]}), json!({})),
+        [".xx.", "x.xx"]
+    );
+    assert_eq!(
+        placed(json!({"offset": [0.25, 0]}), json!({"wrapS": 33071})),
+        [".xxx", "x.xx"]
+    );
+    assert_eq!(
+        placed(json!({"offset": [-0.25, 0]}), json!({"wrapS": 33648})),
+        ["...x", "xxx."]
+    );
+    assert_eq!(
+        placed(json!({"offset": [0, 0.5]}), json!({})),
+        ["xx.x", "..xx"]
+    );
+    assert_eq!(
+        placed(json!({"offset": [0, 0.5]}), json!({"wrapT": 33071})),
+        ["xx.x", "xx.x"]
+    );
     // Mirrored left to right, and doubled.
-    assert_eq!(placed(json!({"offset": [1, 0], "scale": [-1, 1]}), json!({})), ["xx..", "x.xx"]);
+    assert_eq!(
+        placed(json!({"offset": [1, 0], "scale": [-1, 1]}), json!({})),
+        ["xx..", "x.xx"]
+    );
     // A half turn about the origin, then back into the texture; wrapped, the offset does not matter.
     let half = json!({"rotation": std::f64::consts::PI, "offset": [1, 1]});
     assert_eq!(placed(half, json!({})), ["x.xx", "xx.."]);
@@ -145,28 +203,46 @@ fn textures_are_placed_as_the_file_says() {
     };
     assert_eq!(other(&|t| t["texCoord"] = json!(1)), ["xx..", "x.xx"]);
     let by_extension = json!({"KHR_texture_transform": {"texCoord": 1}});
-    assert_eq!(other(&|t| t["extensions"] = by_extension.clone()), ["xx..", "x.xx"]);
+    assert_eq!(
+        other(&|t| t["extensions"] = by_extension.clone()),
+        ["xx..", "x.xx"]
+    );
 }
 
 #[test]
 fn images_come_from_the_file_from_data_or_from_beside_it() {
     let inside = load(&card(&[0, 1, 6], |_| {})).scene.digest();
     let image = png([4, 2], &[0, 0, 255, 255, 255, 255, 0, 255]);
-    let data = format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(&image));
+    let data = format!(
+        "data:image/png;base64,{}",
+        base64::engine::general_purpose::STANDARD.encode(&image)
+    );
     let scene = load(&card(&[], |g| g.json["images"] = json!([{"uri": data}]))).scene;
     assert_eq!(scene.digest(), inside);
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("card.glb");
-    std::fs::write(&path, card(&[], |g| g.json["images"] = json!([{"uri": "sub/a%20b.png"}])).glb()).unwrap();
+    std::fs::write(
+        &path,
+        card(&[], |g| {
+            g.json["images"] = json!([{"uri": "sub/a%20b.png"}])
+        })
+        .glb(),
+    )
+    .unwrap();
     let missing = load_with(&path, &with_alpha()).unwrap_err().to_string();
-    for part in
-        ["material 0 (fence), texture 0, image 0 (sub/a%20b.png)", "a b.png", "leave out --alpha-textures"]
-    {
+    for part in [
+        "material 0 (fence), texture 0, image 0 (sub/a%20b.png)",
+        "a b.png",
+        "leave out --alpha-textures",
+    ] {
         assert!(missing.contains(part), "{missing:?} does not say {part:?}");
     }
     std::fs::create_dir(dir.path().join("sub")).unwrap();
     std::fs::write(dir.path().join("sub/a b.png"), &image).unwrap();
-    assert_eq!(load_with(&path, &with_alpha()).unwrap().scene.digest(), inside);
+    assert_eq!(
+        load_with(&path, &with_alpha()).unwrap().scene.digest(),
+        inside
+    );
     // The PNG beside an image of another format is used.
     let with_basis = |source: Value| {
         card(&[0, 1, 6], |g| {
@@ -174,9 +250,13 @@ fn images_come_from_the_file_from_data_or_from_beside_it() {
             g.json["textures"][0]["extensions"] = json!({"KHR_texture_basisu": {"source": 0}});
         })
     };
-    assert_eq!(load(&with_basis(json!({"source": 0}))).scene.digest(), inside);
+    assert_eq!(
+        load(&with_basis(json!({"source": 0}))).scene.digest(),
+        inside
+    );
     assert!(
-        refusal(&with_basis(json!({}))).contains("texture 0: it has an image for KHR_texture_basisu alone")
+        refusal(&with_basis(json!({})))
+            .contains("texture 0: it has an image for KHR_texture_basisu alone")
     );
 }
 
@@ -187,20 +267,32 @@ fn what_a_mask_cannot_say_is_see_through_with_a_warning() {
         g.json["accessors"][c]["normalized"] = json!(true);
         g.json["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = json!(c);
     };
-    assert_eq!(kinds(&load(&card(&[0], |g| colors(g, 255))).scene), [Kind::Masked; 2]);
+    assert_eq!(
+        kinds(&load(&card(&[0], |g| colors(g, 255))).scene),
+        [Kind::Masked; 2]
+    );
     let faded = load(&card(&[0], |g| colors(g, 254)));
     assert_eq!(kinds(&faded.scene), [Kind::SeeThrough; 2]);
     assert!(
-        faded.warnings[0].contains("mesh 0, primitive 0: its vertex colours (COLOR_0) have alpha below 1")
+        faded.warnings[0]
+            .contains("mesh 0, primitive 0: its vertex colours (COLOR_0) have alpha below 1")
     );
     let bare = load(&card(&[0], |g| {
         g.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = json!(9);
     }));
     assert_eq!(kinds(&bare.scene), [Kind::SeeThrough; 2]);
-    assert!(bare.warnings[0].contains("no texture coordinates TEXCOORD_9"), "{:?}", bare.warnings);
+    assert!(
+        bare.warnings[0].contains("no texture coordinates TEXCOORD_9"),
+        "{:?}",
+        bare.warnings
+    );
     // The option is of no use in a scene without masks.
     let plain = load(&support::square());
-    assert!(plain.warnings[0].contains("--alpha-textures changes nothing"), "{:?}", plain.warnings);
+    assert!(
+        plain.warnings[0].contains("--alpha-textures changes nothing"),
+        "{:?}",
+        plain.warnings
+    );
 }
 
 #[test]
@@ -213,16 +305,42 @@ fn flags_motion_and_extras_go_before_a_mask() {
         })
     };
     let one = |g: &Gltf, rules: Vec<Rule>| {
-        let options = Options { rules, ..with_alpha() };
-        load_bytes_with("test.glb", &g.glb(), None, &options).unwrap().scene.kinds().kind(0)
+        let options = Options {
+            rules,
+            ..with_alpha()
+        };
+        load_bytes_with("test.glb", &g.glb(), None, &options)
+            .unwrap()
+            .scene
+            .kinds()
+            .kind(0)
     };
     let none = || Vec::new();
-    assert_eq!(one(&broken(&|_| {}), vec![Rule::new(Kind::Opaque, "fence").unwrap()]), Kind::Opaque);
-    assert_eq!(one(&broken(&|j| j["nodes"][0]["skin"] = json!(0)), none()), Kind::Moving);
-    let extras = |fields: Value| move |j: &mut Value| j["nodes"][0]["extras"] = json!({"sightline": fields});
-    assert_eq!(one(&broken(&extras(json!({"blocks": true}))), none()), Kind::Opaque);
-    assert_eq!(one(&broken(&extras(json!({"blocks": false}))), none()), Kind::SeeThrough);
-    assert_eq!(one(&broken(&extras(json!({"shows": false}))), none()), Kind::Moving);
+    assert_eq!(
+        one(
+            &broken(&|_| {}),
+            vec![Rule::new(Kind::Opaque, "fence").unwrap()]
+        ),
+        Kind::Opaque
+    );
+    assert_eq!(
+        one(&broken(&|j| j["nodes"][0]["skin"] = json!(0)), none()),
+        Kind::Moving
+    );
+    let extras =
+        |fields: Value| move |j: &mut Value| j["nodes"][0]["extras"] = json!({"sightline": fields});
+    assert_eq!(
+        one(&broken(&extras(json!({"blocks": true}))), none()),
+        Kind::Opaque
+    );
+    assert_eq!(
+        one(&broken(&extras(json!({"blocks": false}))), none()),
+        Kind::SeeThrough
+    );
+    assert_eq!(
+        one(&broken(&extras(json!({"shows": false}))), none()),
+        Kind::Moving
+    );
     let shows = card(&[0], |g| extras(json!({"shows": true}))(&mut g.json));
     assert_eq!(one(&shows, none()), Kind::Masked);
 }
@@ -262,17 +380,47 @@ fn textures_that_cannot_be_used_are_refused_with_their_place() {
     let material = |change: fn(&mut Value)| card(&[0], |g| change(&mut g.json["materials"][0]));
     let json = |change: fn(&mut Value)| card(&[0], |g| change(&mut g.json));
     let bad = [
-        (json(|j| j["textures"] = json!([])), "texture 0: there are 0 textures"),
-        (json(|j| j["textures"][0]["source"] = json!(3)), "it names image 3 of 1"),
+        (
+            json(|j| j["textures"] = json!([])),
+            "texture 0: there are 0 textures",
+        ),
+        (
+            json(|j| j["textures"][0]["source"] = json!(3)),
+            "it names image 3 of 1",
+        ),
         (json(|j| j["textures"][0] = json!({})), "it names no image"),
-        (json(|j| j["textures"][0]["sampler"] = json!(3)), "it names sampler 3 of 0"),
-        (json(|j| j["textures"] = json!("none")), "glTF JSON, textures"),
-        (json(|j| j["images"][0] = json!({})), "it must have either a uri or a buffer view"),
-        (json(|j| j["images"][0]["bufferView"] = json!(99)), "there is no such buffer view"),
-        (json(|j| j["images"][0] = json!({"uri": "../up.png"})), "not a plain path below"),
-        (json(|j| j["images"][0] = json!({"uri": "data:image/png;base64,AAAA"})), "neither PNG nor JPEG"),
-        (json(|j| j["images"][0] = json!({"name": "leaf", "uri": "data:,"})), "image 0 (leaf)"),
-        (material(|m| m["alphaCutoff"] = json!("half")), "material 0 (fence): its alphaCutoff is no finite"),
+        (
+            json(|j| j["textures"][0]["sampler"] = json!(3)),
+            "it names sampler 3 of 0",
+        ),
+        (
+            json(|j| j["textures"] = json!("none")),
+            "glTF JSON, textures",
+        ),
+        (
+            json(|j| j["images"][0] = json!({})),
+            "it must have either a uri or a buffer view",
+        ),
+        (
+            json(|j| j["images"][0]["bufferView"] = json!(99)),
+            "there is no such buffer view",
+        ),
+        (
+            json(|j| j["images"][0] = json!({"uri": "../up.png"})),
+            "not a plain path below",
+        ),
+        (
+            json(|j| j["images"][0] = json!({"uri": "data:image/png;base64,AAAA"})),
+            "neither PNG nor JPEG",
+        ),
+        (
+            json(|j| j["images"][0] = json!({"name": "leaf", "uri": "data:,"})),
+            "image 0 (leaf)",
+        ),
+        (
+            material(|m| m["alphaCutoff"] = json!("half")),
+            "material 0 (fence): its alphaCutoff is no finite",
+        ),
         (
             material(|m| m["pbrMetallicRoughness"]["baseColorTexture"] = json!({"index": -1})),
             "its texture is no index: -1",

@@ -14,7 +14,10 @@ use support::{SQUARE, by_index, card, compress_primitive, draco, draco_square, s
 fn sorted(mut soup: Vec<[[f32; 3]; 3]>) -> Vec<[[u32; 3]; 3]> {
     let turned = |t: &[[f32; 3]; 3]| {
         let t = t.map(|v| v.map(|c| (c + 0.0).to_bits()));
-        (0..3).map(|k| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]]).min().unwrap()
+        (0..3)
+            .map(|k| [t[k], t[(k + 1) % 3], t[(k + 2) % 3]])
+            .min()
+            .unwrap()
     };
     let mut all: Vec<_> = soup.iter_mut().map(|t| turned(t)).collect();
     all.sort_unstable();
@@ -24,7 +27,10 @@ fn sorted(mut soup: Vec<[[f32; 3]; 3]>) -> Vec<[[u32; 3]; 3]> {
 #[test]
 fn a_compressed_square_is_the_square() {
     let scene = draco_square().load().unwrap();
-    assert_eq!(sorted(soup(&scene)), sorted(by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3]])));
+    assert_eq!(
+        sorted(soup(&scene)),
+        sorted(by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3]]))
+    );
     // Also where a file could do without: the compressed data is what the extension asks readers to take.
     let mut g = draco_square();
     g.json["extensionsUsed"] = g.json["extensionsRequired"].take();
@@ -42,9 +48,14 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
     let mut g = card(&open, |_| ());
     let packed = draco(&SQUARE, &uv, &[[0, 1, 2], [0, 2, 3]], &options);
     compress_primitive(&mut g, 0, &packed, json!({"POSITION": 0, "TEXCOORD_0": 1}));
-    let options = Options { alpha_textures: true, ..Options::default() };
+    let options = Options {
+        alpha_textures: true,
+        ..Options::default()
+    };
     let blocks = |g: &support::Gltf, at: [f32; 2]| {
-        let scene = load_bytes_with("a.glb", &g.glb(), None, &options).unwrap().scene;
+        let scene = load_bytes_with("a.glb", &g.glb(), None, &options)
+            .unwrap()
+            .scene;
         let inside = |t: &[[f32; 3]; 3]| {
             (0..3).all(|k| {
                 let (a, b) = (t[k], t[(k + 1) % 3]);
@@ -54,7 +65,14 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
         let of = soup(&scene).iter().position(inside).unwrap();
         scene.mask_blocks(of as u32, [at[0], at[1], -1.0], [0.0, 0.0, 1.0])
     };
-    for at in [[0.2, 0.4], [0.4, 0.3], [0.6, 0.3], [0.8, 0.9], [0.3, 0.9], [0.9, 0.2]] {
+    for at in [
+        [0.2, 0.4],
+        [0.4, 0.3],
+        [0.6, 0.3],
+        [0.8, 0.9],
+        [0.3, 0.9],
+        [0.9, 0.2],
+    ] {
         assert_eq!(blocks(&g, at), blocks(&plain, at), "{at:?}");
         assert_eq!(blocks(&g, at), at[0] > 0.5, "{at:?}");
     }
@@ -74,15 +92,36 @@ fn faults_are_refused_with_the_primitive() {
         &mut j["meshes"][0]["primitives"][0]["extensions"]["KHR_draco_mesh_compression"]
     }
     let of = "mesh 0, primitive 0, KHR_draco_mesh_compression";
-    refused(&|j| extension(j)["bufferView"] = json!(99), &[of, "buffer view 99"]);
-    refused(&|j| extension(j)["bufferView"] = json!(0), &[of, "cannot be decoded"]);
-    refused(&|j| extension(j)["attributes"]["POSITION"] = json!(7), &[of, "attribute 7", "no attribute 7"]);
-    refused(&|j| j["accessors"][0]["count"] = json!(5), &[of, "accessor 0 has 5 elements, and 4"]);
-    refused(&|j| j["accessors"][0]["componentType"] = json!(5123), &[of, "do not fit accessor 0"]);
-    refused(&|j| j["meshes"][0]["primitives"][0]["mode"] = json!(5), &[of, "mode must be 4"]);
+    refused(
+        &|j| extension(j)["bufferView"] = json!(99),
+        &[of, "buffer view 99"],
+    );
+    refused(
+        &|j| extension(j)["bufferView"] = json!(0),
+        &[of, "cannot be decoded"],
+    );
+    refused(
+        &|j| extension(j)["attributes"]["POSITION"] = json!(7),
+        &[of, "attribute 7", "no attribute 7"],
+    );
+    refused(
+        &|j| j["accessors"][0]["count"] = json!(5),
+        &[of, "accessor 0 has 5 elements, and 4"],
+    );
+    refused(
+        &|j| j["accessors"][0]["componentType"] = json!(5123),
+        &[of, "do not fit accessor 0"],
+    );
+    refused(
+        &|j| j["meshes"][0]["primitives"][0]["mode"] = json!(5),
+        &[of, "mode must be 4"],
+    );
     refused(
         &|j| {
-            j["meshes"][0]["primitives"][0].as_object_mut().unwrap().remove("indices");
+            j["meshes"][0]["primitives"][0]
+                .as_object_mut()
+                .unwrap()
+                .remove("indices");
         },
         &[of, "no indices"],
     );
@@ -102,12 +141,23 @@ fn faults_are_refused_with_the_primitive() {
 fn an_accessor_of_two_compressed_primitives_is_refused() {
     let mut g = draco_square();
     let mut other = g.json["meshes"][0]["primitives"][0].clone();
-    let again = draco(&SQUARE, &[], &[[0, 1, 2], [0, 2, 3]], &EncoderOptions::new());
+    let again = draco(
+        &SQUARE,
+        &[],
+        &[[0, 1, 2], [0, 2, 3]],
+        &EncoderOptions::new(),
+    );
     let view = g.view(&again.0);
     other["extensions"]["KHR_draco_mesh_compression"]["bufferView"] = json!(view);
-    g.json["meshes"][0]["primitives"].as_array_mut().unwrap().push(other);
+    g.json["meshes"][0]["primitives"]
+        .as_array_mut()
+        .unwrap()
+        .push(other);
     let e = g.load().unwrap_err().to_string();
-    assert!(e.contains("primitive 1, KHR_draco") && e.contains("another compressed primitive"), "{e}");
+    assert!(
+        e.contains("primitive 1, KHR_draco") && e.contains("another compressed primitive"),
+        "{e}"
+    );
 }
 
 proptest! {

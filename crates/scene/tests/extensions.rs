@@ -20,13 +20,28 @@ fn load(change: impl FnOnce(&mut Value)) -> Result<Loaded, SceneError> {
 
 #[test]
 fn page_shows_table_of_loader() {
-    let mut table = String::from("| extension | treatment | part that is read, or reason |\n|---|---|---|\n");
+    let mut table =
+        String::from("| extension | treatment | part that is read, or reason |\n|---|---|---|\n");
     for row in EXTENSIONS {
-        writeln!(table, "| `{}` | {} | {} |", row.name, row.support.name(), row.note).unwrap();
+        writeln!(
+            table,
+            "| `{}` | {} | {} |",
+            row.name,
+            row.support.name(),
+            row.note
+        )
+        .unwrap();
     }
     let page = include_str!("../../../docs/extensions.md");
-    assert!(page.contains(&table), "docs/extensions.md must have this table:\n{table}");
-    assert_eq!(page.matches("| `").count(), EXTENSIONS.len(), "docs/extensions.md has other rows");
+    assert!(
+        page.contains(&table),
+        "docs/extensions.md must have this table:\n{table}"
+    );
+    assert_eq!(
+        page.matches("| `").count(),
+        EXTENSIONS.len(),
+        "docs/extensions.md has other rows"
+    );
     let names: BTreeSet<&str> = EXTENSIONS.iter().map(|e| e.name).collect();
     assert_eq!(names.len(), EXTENSIONS.len(), "an extension has two rows");
 }
@@ -43,9 +58,15 @@ fn extensions_load_warn_or_refuse_as_in_table() {
                 assert_eq!(required.unwrap().warnings, [""; 0], "{name}");
             }
             Support::Refused => {
-                assert!(used.warnings[0].contains(&format!("{name}, which is not read")), "{name}");
+                assert!(
+                    used.warnings[0].contains(&format!("{name}, which is not read")),
+                    "{name}"
+                );
                 let error = required.unwrap_err().to_string();
-                assert!(error.contains("extensionsRequired") && error.contains(&name), "{error}");
+                assert!(
+                    error.contains("extensionsRequired") && error.contains(&name),
+                    "{error}"
+                );
             }
         }
     }
@@ -53,15 +74,24 @@ fn extensions_load_warn_or_refuse_as_in_table() {
 
 #[test]
 fn unknown_extension_warns_once_with_its_name() {
-    let loaded = load(|j| j["extensionsUsed"] = json!(["ACME_a", "KHR_materials_unlit", "ACME_b", "ACME_a"]));
+    let loaded = load(|j| {
+        j["extensionsUsed"] = json!(["ACME_a", "KHR_materials_unlit", "ACME_b", "ACME_a"])
+    });
     let warnings = loaded.unwrap().warnings;
     assert_eq!(warnings.len(), 2, "{warnings:?}");
     for (warning, name) in warnings.iter().zip(["ACME_a", "ACME_b"]) {
-        assert!(warning.starts_with(&format!("the file uses the extension {name}, which is unknown")));
+        assert!(warning.starts_with(&format!(
+            "the file uses the extension {name}, which is unknown"
+        )));
     }
     let many: Vec<String> = (0..1000).map(|n| format!("ACME_{n}")).collect();
-    let warnings = load(|j| j["extensionsUsed"] = json!(many)).unwrap().warnings;
-    assert!(warnings.len() < 20 && warnings.last().unwrap().contains("984 more"), "{warnings:?}");
+    let warnings = load(|j| j["extensionsUsed"] = json!(many))
+        .unwrap()
+        .warnings;
+    assert!(
+        warnings.len() < 20 && warnings.last().unwrap().contains("984 more"),
+        "{warnings:?}"
+    );
 }
 
 #[test]
@@ -79,7 +109,10 @@ fn khr_meshopt_compression_is_read_as_ext() {
     // Errors name the extension of the file.
     khr.json["bufferViews"][2]["extensions"]["KHR_meshopt_compression"]["mode"] = json!("ODD");
     let error = khr.load().unwrap_err().to_string();
-    assert!(error.contains("buffer view 2, KHR_meshopt_compression: its mode ODD is unknown"), "{error}");
+    assert!(
+        error.contains("buffer view 2, KHR_meshopt_compression: its mode ODD is unknown"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -98,7 +131,11 @@ fn khr_meshopt_compression_of_version_1_is_read() {
     }
     packed.resize(packed.len() + 24, 0);
     compress(&mut g, 0, &packed, "ATTRIBUTES", "NONE", 12);
-    let view = g.json["bufferViews"].as_array_mut().unwrap().last_mut().unwrap();
+    let view = g.json["bufferViews"]
+        .as_array_mut()
+        .unwrap()
+        .last_mut()
+        .unwrap();
     let compressed = view["extensions"]["EXT_meshopt_compression"].take();
     view["extensions"] = json!({"KHR_meshopt_compression": compressed});
     g.json["extensionsRequired"] = json!(["KHR_meshopt_compression"]);

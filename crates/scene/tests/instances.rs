@@ -10,7 +10,12 @@ use support::Gltf;
 /// A square of two triangles at a node with a translation, and attributes of instances.
 fn instanced(change: impl FnOnce(&mut Gltf) -> Value) -> Gltf {
     let mut g = Gltf::default();
-    let p = g.positions(&[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
+    let p = g.positions(&[
+        [0.0, 0.0, 0.0],
+        [1.0, 0.0, 0.0],
+        [1.0, 1.0, 0.0],
+        [0.0, 1.0, 0.0],
+    ]);
     let i = g.indices(5123, &[0, 1, 2, 0, 2, 3]);
     let primitive = json!({"attributes": {"POSITION": p}, "indices": i});
     g.mesh(json!([primitive, primitive]));
@@ -26,7 +31,11 @@ fn instanced(change: impl FnOnce(&mut Gltf) -> Value) -> Gltf {
 }
 
 fn shorts(g: &mut Gltf, quaternions: &[[i16; 4]]) -> usize {
-    let bytes: Vec<u8> = quaternions.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+    let bytes: Vec<u8> = quaternions
+        .iter()
+        .flatten()
+        .flat_map(|c| c.to_le_bytes())
+        .collect();
     let accessor = g.accessor(&bytes, 5122, "VEC4", quaternions.len());
     g.json["accessors"][accessor]["normalized"] = json!(true);
     accessor
@@ -54,9 +63,15 @@ fn each_instance_has_its_triangles_under_the_transform_of_the_node() {
     assert_eq!(names, expected);
     assert_eq!(scene.len(), 12);
     let corner = |t: usize, k: usize| scene.triangles()[t].v[k].to_array();
-    assert_eq!([corner(0, 0), corner(0, 2)], [[10.0, 5.0, 0.0], [11.0, 6.0, 0.0]]);
+    assert_eq!(
+        [corner(0, 0), corner(0, 2)],
+        [[10.0, 5.0, 0.0], [11.0, 6.0, 0.0]]
+    );
     let turned = corner(4, 2);
-    let near = [10.0 - 2.0, -3.0, 7.0].iter().zip(turned).all(|(a, b): (&f32, f32)| (a - b).abs() < 1e-5);
+    let near = [10.0 - 2.0, -3.0, 7.0]
+        .iter()
+        .zip(turned)
+        .all(|(a, b): (&f32, f32)| (a - b).abs() < 1e-5);
     assert!(near, "{turned:?}");
     assert_eq!(corner(8, 2), [1.0, 1.0, 0.0]);
 }

@@ -23,7 +23,9 @@ fn load(nodes: usize, change: impl FnOnce(&mut Value)) -> Loaded {
 }
 
 fn kinds(loaded: &Loaded) -> Vec<Kind> {
-    (0..loaded.scene.len()).map(|t| loaded.scene.kinds().kind(t)).collect()
+    (0..loaded.scene.len())
+        .map(|t| loaded.scene.kinds().kind(t))
+        .collect()
 }
 
 #[test]
@@ -42,10 +44,24 @@ fn materials_with_holes_or_transmission_are_see_through() {
             j["meshes"][m]["primitives"][0]["material"] = json!(m);
         }
     });
-    assert_eq!(kinds(&loaded), [Opaque, SeeThrough, SeeThrough, SeeThrough, Opaque, SeeThrough, Opaque]);
+    assert_eq!(
+        kinds(&loaded),
+        [
+            Opaque, SeeThrough, SeeThrough, SeeThrough, Opaque, SeeThrough, Opaque
+        ]
+    );
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-    let reasons: Vec<String> = loaded.scene.kinds().counts().into_iter().map(|c| c.reason).collect();
-    assert!(reasons.contains(&"alphaMode MASK".to_owned()), "{reasons:?}");
+    let reasons: Vec<String> = loaded
+        .scene
+        .kinds()
+        .counts()
+        .into_iter()
+        .map(|c| c.reason)
+        .collect();
+    assert!(
+        reasons.contains(&"alphaMode MASK".to_owned()),
+        "{reasons:?}"
+    );
     // The kinds are part of the canonical bytes.
     let again = sightline_scene::Scene::from_blob("blob", &loaded.scene.to_blob()).unwrap();
     assert_eq!(again.kinds(), loaded.scene.kinds());
@@ -94,7 +110,11 @@ fn hidden_node_hides_everything_below_it() {
             hide(j);
             j[list] = json!(["KHR_node_visibility"]);
         });
-        assert_eq!(kinds(&loaded), [Hidden, Hidden, Hidden, Opaque, Opaque, Opaque, Opaque], "{list}");
+        assert_eq!(
+            kinds(&loaded),
+            [Hidden, Hidden, Hidden, Opaque, Opaque, Opaque, Opaque],
+            "{list}"
+        );
         assert!((0..3).all(|t| !loaded.scene.blocks(t) && !loaded.scene.shows(t)));
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
         // Ids, objects and bounds stay; the kinds are part of the canonical bytes.
@@ -106,7 +126,10 @@ fn hidden_node_hides_everything_below_it() {
         assert_eq!(again.kinds(), loaded.scene.kinds());
         let counts = loaded.scene.kinds().counts();
         let hidden = counts.iter().find(|c| c.kind == Hidden).unwrap();
-        assert_eq!((hidden.triangles, hidden.reason.as_str()), (3, "KHR_node_visibility"));
+        assert_eq!(
+            (hidden.triangles, hidden.reason.as_str()),
+            (3, "KHR_node_visibility")
+        );
     }
 }
 
@@ -120,7 +143,8 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
         j["nodes"][0]["skin"] = json!(0);
         j["materials"] = json!([{"alphaMode": "BLEND", "name": "glass"}]);
         j["meshes"][0]["primitives"][0]["material"] = json!(0);
-        j["animations"] = json!([{"channels": [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]}]);
+        j["animations"] =
+            json!([{"channels": [{"sampler": 0, "target": {"node": 0, "path": "scale"}}]}]);
     };
     assert_eq!(kinds(&load(2, hide)), [Hidden, Opaque]);
     // A rule that matches hidden nodes only is a warning; one that matches others too is none.
@@ -133,8 +157,13 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
     g.json["scenes"][0]["nodes"] = json!([0, 1]);
     hide(&mut g.json);
     let rules = [(Kind::OccluderOnly, "gh?st"), (Opaque, "*")];
-    let rules = rules.map(|(kind, glob)| Rule::new(kind, glob).unwrap()).to_vec();
-    let options = Options { rules, ..Options::default() };
+    let rules = rules
+        .map(|(kind, glob)| Rule::new(kind, glob).unwrap())
+        .to_vec();
+    let options = Options {
+        rules,
+        ..Options::default()
+    };
     let loaded = load_bytes_with("test.glb", &g.glb(), None, &options).unwrap();
     assert_eq!(kinds(&loaded), [Hidden, Opaque]);
     assert_eq!(loaded.warnings.len(), 1, "{:?}", loaded.warnings);
@@ -144,10 +173,20 @@ fn hidden_node_stays_hidden_against_extras_and_rules() {
 #[test]
 fn rule_cannot_hide() {
     let loaded = load(1, |_| {});
-    let rules = vec![Rule { kind: Kind::Hidden, glob: "*".to_owned() }];
+    let rules = vec![Rule {
+        kind: Kind::Hidden,
+        glob: "*".to_owned(),
+    }];
     let hidden = sightline_scene::Kinds::from_runs([(1, Kind::Opaque, "by default")], rules);
-    let error = loaded.scene.with_kinds("test", hidden).unwrap_err().to_string();
-    assert!(error.contains("a rule makes triangles hidden, which only a file does"), "{error}");
+    let error = loaded
+        .scene
+        .with_kinds("test", hidden)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("a rule makes triangles hidden, which only a file does"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -170,13 +209,17 @@ fn animated_visibility_makes_triangles_moving() {
         j["animations"] = json!([{"channels": [channel(0), channel(2), channel(3)]}]);
     });
     // In the order of the nodes, depth first: 0, 1, 2, 4, 3, 5.
-    assert_eq!(kinds(&loaded), [Moving, Moving, Moving, Hidden, Hidden, Opaque]);
+    assert_eq!(
+        kinds(&loaded),
+        [Moving, Moving, Moving, Hidden, Hidden, Opaque]
+    );
 }
 
 #[test]
 fn the_nearest_extras_count_for_each_field() {
     use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
-    let extras = |blocks: Value, shows: Value| json!({"sightline": {"blocks": blocks, "shows": shows}});
+    let extras =
+        |blocks: Value, shows: Value| json!({"sightline": {"blocks": blocks, "shows": shows}});
     let loaded = load(6, |j| {
         j["scenes"][0]["nodes"] = json!([0, 2, 3, 4, 5]);
         j["materials"] = json!([
@@ -194,9 +237,16 @@ fn the_nearest_extras_count_for_each_field() {
         j["nodes"][4]["extras"] = json!({"sightline": {"blocks": "no", "hides": true}});
         j["nodes"][5]["extras"] = json!({"sightline": 7});
     });
-    assert_eq!(kinds(&loaded), [SeeThrough, Moving, Opaque, OccluderOnly, Opaque, Opaque]);
+    assert_eq!(
+        kinds(&loaded),
+        [SeeThrough, Moving, Opaque, OccluderOnly, Opaque, Opaque]
+    );
     let warnings = loaded.warnings.join("\n");
-    for part in ["node 4: extras.sightline.blocks is neither", "unknown field \"hides\"", "node 5"] {
+    for part in [
+        "node 4: extras.sightline.blocks is neither",
+        "unknown field \"hides\"",
+        "node 5",
+    ] {
         assert!(warnings.contains(part), "{part} in {warnings}");
     }
 }
@@ -220,17 +270,31 @@ fn rules_match_names_of_objects_nodes_meshes_and_materials() {
     g.json["scenes"][0]["nodes"] = json!([0, 1, 2]);
     names(&mut g.json);
     let with = |rules: &[(Kind, &str)]| {
-        let rules = rules.iter().map(|(kind, glob)| Rule::new(*kind, glob).unwrap()).collect();
-        let options = Options { rules, ..Options::default() };
+        let rules = rules
+            .iter()
+            .map(|(kind, glob)| Rule::new(*kind, glob).unwrap())
+            .collect();
+        let options = Options {
+            rules,
+            ..Options::default()
+        };
         load_bytes_with("test.glb", &g.glb(), None, &options).unwrap()
     };
     use Kind::{Moving, OccluderOnly, Opaque, SeeThrough};
-    let loaded = with(&[(Moving, "door"), (SeeThrough, "leaves"), (OccluderOnly, "br?ck")]);
+    let loaded = with(&[
+        (Moving, "door"),
+        (SeeThrough, "leaves"),
+        (OccluderOnly, "br?ck"),
+    ]);
     assert_eq!(kinds(&loaded), [OccluderOnly, Moving, SeeThrough]);
     let loaded = with(&[(SeeThrough, "*"), (Opaque, "hall/*")]);
     assert_eq!(kinds(&loaded), [Opaque, SeeThrough, SeeThrough]);
     let loaded = with(&[(SeeThrough, "leafs")]);
-    assert!(loaded.warnings[0].ends_with("names like it: leaves"), "{:?}", loaded.warnings);
+    assert!(
+        loaded.warnings[0].ends_with("names like it: leaves"),
+        "{:?}",
+        loaded.warnings
+    );
 }
 
 #[test]
@@ -239,19 +303,54 @@ fn obj_materials_decide_by_face_and_a_missing_library_is_named() {
     let obj = "mtllib my glass.mtl gone.mtl\nmtllib ../out.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\no a\nusemtl pane\n\
                f 1 2 3\nusemtl wall\nf 1 2 3\nf 1 2 3\no b\nf 1 2 3\nusemtl nowhere\nf 1 2 3\n";
     let path = dir.path().join("a.obj");
-    std::fs::write(&path, obj.replace("my glass.mtl gone.mtl", "my.mtl gone.mtl")).unwrap();
-    std::fs::write(dir.path().join("my.mtl"), "newmtl pane\nd 0.3\nnewmtl wall\nKd 1 0 0\n").unwrap();
+    std::fs::write(
+        &path,
+        obj.replace("my glass.mtl gone.mtl", "my.mtl gone.mtl"),
+    )
+    .unwrap();
+    std::fs::write(
+        dir.path().join("my.mtl"),
+        "newmtl pane\nd 0.3\nnewmtl wall\nKd 1 0 0\n",
+    )
+    .unwrap();
     let loaded = load_with(&path, &Options::default()).unwrap();
     use Kind::{Opaque, SeeThrough};
     assert_eq!(kinds(&loaded), [SeeThrough, Opaque, Opaque, Opaque, Opaque]);
     let warnings = loaded.warnings.join("\n");
-    for part in ["\"gone.mtl\" is missing", "\"../out.mtl\" is not read", "\"nowhere\" is in no library"] {
+    for part in [
+        "\"gone.mtl\" is missing",
+        "\"../out.mtl\" is not read",
+        "\"nowhere\" is in no library",
+    ] {
         assert!(warnings.contains(part), "{part} in {warnings}");
     }
     // A library whose name has spaces, and rules about materials of OBJ files.
     std::fs::write(&path, obj.replace("my glass.mtl gone.mtl", "my glass.mtl")).unwrap();
-    std::fs::write(dir.path().join("my glass.mtl"), "newmtl pane\nillum 4\nnewmtl wall\n").unwrap();
-    let rules = vec![Rule::new(Kind::Moving, "wall").unwrap(), Rule::new(SeeThrough, "b").unwrap()];
-    let loaded = load_with(&path, &Options { rules, ..Options::default() }).unwrap();
-    assert_eq!(kinds(&loaded), [SeeThrough, Kind::Moving, Kind::Moving, SeeThrough, SeeThrough]);
+    std::fs::write(
+        dir.path().join("my glass.mtl"),
+        "newmtl pane\nillum 4\nnewmtl wall\n",
+    )
+    .unwrap();
+    let rules = vec![
+        Rule::new(Kind::Moving, "wall").unwrap(),
+        Rule::new(SeeThrough, "b").unwrap(),
+    ];
+    let loaded = load_with(
+        &path,
+        &Options {
+            rules,
+            ..Options::default()
+        },
+    )
+    .unwrap();
+    assert_eq!(
+        kinds(&loaded),
+        [
+            SeeThrough,
+            Kind::Moving,
+            Kind::Moving,
+            SeeThrough,
+            SeeThrough
+        ]
+    );
 }

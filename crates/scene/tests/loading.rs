@@ -12,30 +12,59 @@ use sightline_scene::{Object, Scene, Triangle, load, load_bytes, write_mesh_ply}
 use support::*;
 
 fn object(name: &str, first: u32, count: u32) -> Object {
-    Object { name: name.into(), first, count }
+    Object {
+        name: name.into(),
+        first,
+        count,
+    }
 }
 
 #[test]
 fn obj_keeps_order_groups_and_fans() {
     let s = load_bytes("a.obj", OBJ.as_bytes(), None).unwrap();
-    let p = [SQUARE[0], SQUARE[1], SQUARE[2], SQUARE[3], [5., 0.5, -0.125]];
-    assert_eq!(soup(&s), by_index(&p, &[[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 1, 4]]));
-    assert_eq!(s.objects(), [object("house/wall", 0, 1), object("house/roof", 1, 3)]);
+    let p = [
+        SQUARE[0],
+        SQUARE[1],
+        SQUARE[2],
+        SQUARE[3],
+        [5., 0.5, -0.125],
+    ];
+    assert_eq!(
+        soup(&s),
+        by_index(&p, &[[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 1, 4]])
+    );
+    assert_eq!(
+        s.objects(),
+        [object("house/wall", 0, 1), object("house/roof", 1, 3)]
+    );
 }
 
 #[test]
 fn obj_groups_that_return_are_told_apart() {
     let text = "v 0 0 0\r\nv 1 0 0\r\nv 0 1 0\r\nf 1 2 3\r\ng a\r\nf 1 2 3\r\ng empty\r\ng a\r\nf 3 2 1\r\n";
     let s = load_bytes("a.obj", text.as_bytes(), None).unwrap();
-    assert_eq!(s.objects(), [object("default", 0, 1), object("a", 1, 1), object("a#2", 2, 1)]);
+    assert_eq!(
+        s.objects(),
+        [
+            object("default", 0, 1),
+            object("a", 1, 1),
+            object("a#2", 2, 1)
+        ]
+    );
     let old = text.replace("\r\n", "\r");
-    assert_eq!(soup(&load_bytes("a.obj", old.as_bytes(), None).unwrap()), soup(&s));
+    assert_eq!(
+        soup(&load_bytes("a.obj", old.as_bytes(), None).unwrap()),
+        soup(&s)
+    );
 }
 
 #[test]
 fn ply_text_and_both_byte_orders() {
     let s = load_bytes("a.ply", PLY.as_bytes(), None).unwrap();
-    assert_eq!(soup(&s), by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3], [2, 1, 0]]));
+    assert_eq!(
+        soup(&s),
+        by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3], [2, 1, 0]])
+    );
     assert_eq!(s.objects(), [object("mesh", 0, 3)]);
     for big in [false, true] {
         let s = load_bytes("a.ply", &binary_ply(big, &SQUARE, 3), None).unwrap();
@@ -48,7 +77,10 @@ fn indices_of_every_width_and_none() {
     let want = by_index(&SQUARE, &[[0, 1, 2], [0, 2, 3]]);
     for component in [5121, 5123, 5125] {
         let mut g = Gltf::default();
-        let (p, i) = (g.positions(&SQUARE), g.indices(component, &[0, 1, 2, 0, 2, 3]));
+        let (p, i) = (
+            g.positions(&SQUARE),
+            g.indices(component, &[0, 1, 2, 0, 2, 3]),
+        );
         g.mesh(json!([{"attributes": {"POSITION": p}, "indices": i}]));
         assert_eq!(soup(&g.load().unwrap()), want);
     }
@@ -65,7 +97,17 @@ fn strips_and_fans_wind_as_specified() {
     let a = g.positions(&p);
     let prim = |mode: u32| json!({"attributes": {"POSITION": a}, "mode": mode});
     g.mesh(json!([prim(5), prim(6)]));
-    let want = by_index(&p, &[[0, 1, 2], [1, 3, 2], [2, 3, 4], [1, 2, 0], [2, 3, 0], [3, 4, 0]]);
+    let want = by_index(
+        &p,
+        &[
+            [0, 1, 2],
+            [1, 3, 2],
+            [2, 3, 4],
+            [1, 2, 0],
+            [2, 3, 0],
+            [3, 4, 0],
+        ],
+    );
     assert_eq!(soup(&g.load().unwrap()), want);
 }
 
@@ -73,11 +115,19 @@ fn strips_and_fans_wind_as_specified() {
 #[test]
 fn a_long_strip_winds_as_a_short_one() {
     let n = 20_000usize;
-    let p: Vec<[f32; 3]> = (0..n + 2).map(|i| [i as f32, (i % 2) as f32, (i % 7) as f32]).collect();
+    let p: Vec<[f32; 3]> = (0..n + 2)
+        .map(|i| [i as f32, (i % 2) as f32, (i % 7) as f32])
+        .collect();
     let mut g = Gltf::default();
     let a = g.positions(&p);
     g.mesh(json!([{"attributes": {"POSITION": a}, "mode": 5}]));
-    let turned = |i: usize| if i.is_multiple_of(2) { [i, i + 1, i + 2] } else { [i, i + 2, i + 1] };
+    let turned = |i: usize| {
+        if i.is_multiple_of(2) {
+            [i, i + 1, i + 2]
+        } else {
+            [i, i + 2, i + 1]
+        }
+    };
     let want = by_index(&p, &(0..n).map(turned).collect::<Vec<_>>());
     assert_eq!(soup(&g.load().unwrap()), want);
 }
@@ -94,7 +144,11 @@ fn points_and_lines_are_objects_without_triangles() {
     let s = g.load().unwrap();
     assert_eq!(
         s.objects(),
-        [object("n/mesh0#0", 0, 0), object("n/mesh0#1", 0, 2), object("n/mesh0#2", 2, 0)]
+        [
+            object("n/mesh0#0", 0, 0),
+            object("n/mesh0#1", 0, 2),
+            object("n/mesh0#2", 2, 0)
+        ]
     );
 }
 
@@ -109,7 +163,10 @@ fn sparse_replaces_elements_with_and_without_a_base() {
     let tris = [[0, 1, 2], [0, 2, 3]];
     let p = [SQUARE[0], [7., 8., 9.], SQUARE[2], [-1., -2., -3.]];
     assert_eq!(soup(&g.load().unwrap()), by_index(&p, &tris));
-    g.json["accessors"][0].as_object_mut().unwrap().remove("bufferView");
+    g.json["accessors"][0]
+        .as_object_mut()
+        .unwrap()
+        .remove("bufferView");
     let p = [[0.; 3], [7., 8., 9.], [0.; 3], [-1., -2., -3.]];
     assert_eq!(soup(&g.load().unwrap()), by_index(&p, &tris));
 }
@@ -136,12 +193,42 @@ type Case = (u32, bool, Vec<Vec<u8>>, [f32; 3]);
 #[test]
 fn quantized_positions_of_each_kind() {
     let cases: [Case; 6] = [
-        (5120, false, vec![vec![0x80], vec![3], vec![127]], [-128., 3., 127.]),
-        (5121, false, vec![vec![0], vec![3], vec![255]], [0., 3., 255.]),
-        (5122, false, vec![vec![0, 0x80], vec![3, 0], vec![0xff, 0x7f]], [-32768., 3., 32767.]),
-        (5123, false, vec![vec![0, 0], vec![3, 1], vec![0xff, 0xff]], [0., 259., 65535.]),
-        (5120, true, vec![vec![0x80], vec![0], vec![127]], [-1., 0., 1.]),
-        (5123, true, vec![vec![0, 0], vec![0x33, 0x33], vec![0xff, 0xff]], [0., 0.2, 1.]),
+        (
+            5120,
+            false,
+            vec![vec![0x80], vec![3], vec![127]],
+            [-128., 3., 127.],
+        ),
+        (
+            5121,
+            false,
+            vec![vec![0], vec![3], vec![255]],
+            [0., 3., 255.],
+        ),
+        (
+            5122,
+            false,
+            vec![vec![0, 0x80], vec![3, 0], vec![0xff, 0x7f]],
+            [-32768., 3., 32767.],
+        ),
+        (
+            5123,
+            false,
+            vec![vec![0, 0], vec![3, 1], vec![0xff, 0xff]],
+            [0., 259., 65535.],
+        ),
+        (
+            5120,
+            true,
+            vec![vec![0x80], vec![0], vec![127]],
+            [-1., 0., 1.],
+        ),
+        (
+            5123,
+            true,
+            vec![vec![0, 0], vec![0x33, 0x33], vec![0xff, 0xff]],
+            [0., 0.2, 1.],
+        ),
     ];
     for (component, normalized, raw, [a, b, c]) in cases {
         let mut g = Gltf::default();
@@ -159,7 +246,11 @@ fn quantized_positions_of_each_kind() {
         g.json["bufferViews"][0]["byteStride"] = json!(8);
         g.json["extensionsRequired"] = json!(["KHR_mesh_quantization"]);
         g.mesh(json!([{"attributes": {"POSITION": p}}]));
-        assert_eq!(soup(&g.load().unwrap()), [[[a, b, c], [b, c, a], [c, a, b]]], "{component} {normalized}");
+        assert_eq!(
+            soup(&g.load().unwrap()),
+            [[[a, b, c], [b, c, a], [c, a, b]]],
+            "{component} {normalized}"
+        );
     }
 }
 
@@ -178,7 +269,11 @@ fn meshopt_views_give_what_was_packed() {
 #[test]
 fn transforms_nest_in_depth_first_order() {
     let s = rich().load().unwrap();
-    let names: Vec<_> = s.objects().iter().map(|o| (o.name.as_str(), o.count)).collect();
+    let names: Vec<_> = s
+        .objects()
+        .iter()
+        .map(|o| (o.name.as_str(), o.count))
+        .collect();
     assert_eq!(
         names,
         [
@@ -192,8 +287,14 @@ fn transforms_nest_in_depth_first_order() {
     let p = [[0., 0., 0.], [5., 0., 0.], [1., 1., 0.], [0., 5., 0.]];
     let moved = |t: [f32; 3]| p.map(|q: [f32; 3]| [q[0] + t[0], q[1] + t[1], q[2] + t[2]]);
     let got = soup(&s);
-    assert_eq!(got[..2], by_index(&moved([1., 2., 3.]), &[[0, 1, 2], [0, 2, 3]]));
-    assert_eq!(got[6..], by_index(&moved([1., 2., 12.]), &[[0, 1, 2], [0, 2, 3]]));
+    assert_eq!(
+        got[..2],
+        by_index(&moved([1., 2., 3.]), &[[0, 1, 2], [0, 2, 3]])
+    );
+    assert_eq!(
+        got[6..],
+        by_index(&moved([1., 2., 12.]), &[[0, 1, 2], [0, 2, 3]])
+    );
     // A quarter turn about z, twice the size: (5,0,0) goes to (0,10,0), then (1,2,3) is added.
     let turned = got[2][0];
     for (g, w) in turned.iter().zip([1., 12., 3.]) {
@@ -208,7 +309,12 @@ fn the_scene_shown_is_the_default_else_the_first_else_all_roots() {
         json!([{"mesh": 0, "name": "a"}, {"children": [2], "name": "b"}, {"mesh": 0, "name": "c"}]);
     g.json["scenes"] = json!([{"nodes": [0]}, {"nodes": [1, 0]}]);
     let names = |g: &Gltf| -> Vec<String> {
-        g.load().unwrap().objects().iter().map(|o| o.name.split('/').next().unwrap().to_owned()).collect()
+        g.load()
+            .unwrap()
+            .objects()
+            .iter()
+            .map(|o| o.name.split('/').next().unwrap().to_owned())
+            .collect()
     };
     g.json["scene"] = json!(1);
     assert_eq!(names(&g), ["c", "a"]);
@@ -245,8 +351,11 @@ fn buffers_from_data_uris_and_files() {
 #[test]
 fn harmless_required_extensions_are_accepted() {
     let mut g = square();
-    g.json["extensionsRequired"] =
-        json!(["KHR_materials_unlit", "KHR_texture_transform", "KHR_lights_punctual"]);
+    g.json["extensionsRequired"] = json!([
+        "KHR_materials_unlit",
+        "KHR_texture_transform",
+        "KHR_lights_punctual"
+    ]);
     assert_eq!(g.load().unwrap().len(), 2);
 }
 

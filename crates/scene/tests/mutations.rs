@@ -51,7 +51,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -119,14 +120,23 @@ fn mutate(r: &mut Random, seeds: &[Vec<u8>], seed: usize) -> Vec<u8> {
             }
             5 => {
                 // A word of binary data becomes a telling number.
-                let v = [0u32, 1, 0x7fff_ffff, 0x8000_0000, u32::MAX, 0x7f80_0000, 0x7fc0_0000][r.below(7)];
+                let v = [
+                    0u32,
+                    1,
+                    0x7fff_ffff,
+                    0x8000_0000,
+                    u32::MAX,
+                    0x7f80_0000,
+                    0x7fc0_0000,
+                ][r.below(7)];
                 for (d, s) in b[at..].iter_mut().zip(v.to_le_bytes()) {
                     *d = s;
                 }
             }
             _ => {
                 // A number in the text becomes another.
-                let Some(start) = b[at..].iter().position(u8::is_ascii_digit).map(|p| p + at) else {
+                let Some(start) = b[at..].iter().position(u8::is_ascii_digit).map(|p| p + at)
+                else {
                     continue;
                 };
                 let len = b[start..].iter().take_while(|c| c.is_ascii_digit()).count();
@@ -148,18 +158,30 @@ fn run(target: Target, bytes: &[u8], what: &str) -> bool {
     PEAK.store(before, Relaxed);
     let accepted = target(bytes);
     let used = PEAK.load(Relaxed) - before;
-    assert!(used <= MOST + 600 * bytes.len(), "{what}: {used} bytes for an input of {}", bytes.len());
+    assert!(
+        used <= MOST + 600 * bytes.len(),
+        "{what}: {used} bytes for an input of {}",
+        bytes.len()
+    );
     accepted
 }
 
 #[test]
 fn mutated_files_load_or_are_refused() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
-    let mut kept: Vec<_> = std::fs::read_dir(&crashes).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut kept: Vec<_> = std::fs::read_dir(&crashes)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     kept.sort();
     for path in kept {
         let bytes = std::fs::read(&path).unwrap();
-        for target in [fuzzing::obj, fuzzing::ply, fuzzing::gltf, fuzzing::scene_blob] {
+        for target in [
+            fuzzing::obj,
+            fuzzing::ply,
+            fuzzing::gltf,
+            fuzzing::scene_blob,
+        ] {
             run(target, &bytes, &path.display().to_string());
         }
     }
@@ -174,11 +196,25 @@ fn mutated_files_load_or_are_refused() {
     };
     let blob = load_bytes("a.obj", OBJ.as_bytes(), None).unwrap().to_blob();
     let masked = card(&[0, 5], |_| {});
-    let options = Options { alpha_textures: true, ..Options::default() };
-    let masked_blob = load_bytes_with("a.glb", &masked.glb(), None, &options).unwrap().scene.to_blob();
+    let options = Options {
+        alpha_textures: true,
+        ..Options::default()
+    };
+    let masked_blob = load_bytes_with("a.glb", &masked.glb(), None, &options)
+        .unwrap()
+        .scene
+        .to_blob();
     let families: [(Target, &str, Vec<Vec<u8>>); 4] = [
         (fuzzing::obj, "obj", vec![OBJ.into()]),
-        (fuzzing::ply, "ply", vec![PLY.into(), binary_ply(false, &SQUARE, 3), binary_ply(true, &SQUARE, 3)]),
+        (
+            fuzzing::ply,
+            "ply",
+            vec![
+                PLY.into(),
+                binary_ply(false, &SQUARE, 3),
+                binary_ply(true, &SQUARE, 3),
+            ],
+        ),
         (
             fuzzing::gltf,
             "gltf",
@@ -203,7 +239,11 @@ fn mutated_files_load_or_are_refused() {
             let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
             for i in 0..ROUNDS {
                 let bytes = mutate(&mut r, &seeds, s);
-                accepted += usize::from(run(target, &bytes, &format!("{name}, seed {s}, mutation {i}")));
+                accepted += usize::from(run(
+                    target,
+                    &bytes,
+                    &format!("{name}, seed {s}, mutation {i}"),
+                ));
             }
             // Mutations that all fail, or all pass, would reach little of a parser.
             assert!(

@@ -11,7 +11,10 @@ use sightline_scene::{Kind, Scene, Side};
 use support::Gltf;
 
 fn culling() -> Options {
-    Options { cull_back_faces: true, ..Options::default() }
+    Options {
+        cull_back_faces: true,
+        ..Options::default()
+    }
 }
 
 fn load(name: &str, bytes: &[u8], options: &Options) -> Scene {
@@ -39,13 +42,19 @@ fn sides(scene: &Scene) -> Vec<Side> {
 #[test]
 fn a_double_sided_material_keeps_both_sides() {
     let file = triangles(4, |g| {
-        g.json["materials"] = json!([{"doubleSided": true}, {"doubleSided": false}, {"doubleSided": "yes"}]);
+        g.json["materials"] =
+            json!([{"doubleSided": true}, {"doubleSided": false}, {"doubleSided": "yes"}]);
         (0..3).for_each(|m| g.json["meshes"][m]["primitives"][0]["material"] = json!(m));
     });
     let scene = load("test.glb", &file, &culling());
     assert_eq!(
         sides(&scene),
-        [Side::Both, Side::CounterClockwise, Side::CounterClockwise, Side::CounterClockwise]
+        [
+            Side::Both,
+            Side::CounterClockwise,
+            Side::CounterClockwise,
+            Side::CounterClockwise
+        ]
     );
     assert_eq!(scene.sides().one_sided(), 3);
     assert_eq!(scene.front(0), DVec3::ZERO);
@@ -71,11 +80,23 @@ fn a_mirrored_node_turns_the_front_and_keeps_the_order_of_vertices() {
     });
     let scene = load("test.glb", &file, &culling());
     use Side::{Clockwise, CounterClockwise};
-    assert_eq!(sides(&scene), [Clockwise, Clockwise, CounterClockwise, CounterClockwise, Clockwise]);
+    assert_eq!(
+        sides(&scene),
+        [
+            Clockwise,
+            Clockwise,
+            CounterClockwise,
+            CounterClockwise,
+            Clockwise
+        ]
+    );
     // A mirrored triangle is still seen from +z, and one that is turned by half a turn from −z.
     let towards: Vec<f64> = (0..5).map(|t| scene.front(t).z.signum()).collect();
     assert_eq!(towards, [1.0, 1.0, 1.0, -1.0, 1.0]);
-    assert_eq!(scene.triangles(), load("test.glb", &file, &Options::default()).triangles());
+    assert_eq!(
+        scene.triangles(),
+        load("test.glb", &file, &Options::default()).triangles()
+    );
 }
 
 #[test]
@@ -94,8 +115,18 @@ fn strips_and_fans_have_one_front() {
     for mode in [5, 6] {
         let mut g = Gltf::default();
         let corners = match mode {
-            5 => [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]],
-            _ => [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]],
+            5 => [
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [1.0, 1.0, 0.0],
+            ],
+            _ => [
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [1.0, 1.0, 0.0],
+                [0.0, 1.0, 0.0],
+            ],
         };
         let p = g.positions(&corners);
         g.mesh(json!([{"attributes": {"POSITION": p}, "mode": mode}]));
@@ -113,7 +144,10 @@ fn triangles_of_obj_and_ply_files_have_one_side() {
     assert_eq!(sides(&scene), [Side::CounterClockwise; 2]);
     let mut ply = Vec::new();
     sightline_scene::write_mesh_ply(&scene, &mut ply).unwrap();
-    assert_eq!(sides(&load("test.ply", &ply, &culling())), [Side::CounterClockwise; 2]);
+    assert_eq!(
+        sides(&load("test.ply", &ply, &culling())),
+        [Side::CounterClockwise; 2]
+    );
 }
 
 #[test]
@@ -126,13 +160,18 @@ fn sides_and_kinds_are_part_of_the_canonical_bytes() {
     };
     let of = |material| load("test.glb", &file(material), &culling());
     let (opaque, glass) = (of(json!({})), of(json!({"alphaMode": "BLEND"})));
-    let (double, glass_double) =
-        (of(json!({"doubleSided": true})), of(json!({"alphaMode": "BLEND", "doubleSided": true})));
+    let (double, glass_double) = (
+        of(json!({"doubleSided": true})),
+        of(json!({"alphaMode": "BLEND", "doubleSided": true})),
+    );
     let plain = load("test.glb", &file(json!({})), &Options::default());
     let mut digests = Vec::new();
     for scene in [&opaque, &glass, &double, &glass_double, &plain] {
         let again = Scene::from_blob("blob", &scene.to_blob()).unwrap();
-        assert_eq!((again.sides(), again.kinds()), (scene.sides(), scene.kinds()));
+        assert_eq!(
+            (again.sides(), again.kinds()),
+            (scene.sides(), scene.kinds())
+        );
         assert_eq!(again.to_blob(), scene.to_blob());
         digests.push(scene.digest());
     }
@@ -146,7 +185,9 @@ fn sides_and_kinds_are_part_of_the_canonical_bytes() {
     assert!(Scene::from_blob("blob", &long).is_err());
     for scene in [&opaque, &glass] {
         let blob = scene.to_blob();
-        let cuts = (0..blob.len()).filter(|n| Scene::from_blob("blob", &blob[..*n]).is_ok()).count();
+        let cuts = (0..blob.len())
+            .filter(|n| Scene::from_blob("blob", &blob[..*n]).is_ok())
+            .count();
         assert_eq!(cuts, 0);
     }
 }

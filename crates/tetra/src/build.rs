@@ -64,11 +64,31 @@ impl Built {
 pub fn build(scene: &Scene, watch: &dyn Watch) -> Result<Built, BuildError> {
     let surfaces = Surfaces::new(scene)?;
     let delaunay = Delaunay::watched(&surfaces.points, watch)?;
-    let Delaunay { points, tetrahedra, neighbours } = &delaunay;
-    let (cells, counts) = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }, watch)?;
+    let Delaunay {
+        points,
+        tetrahedra,
+        neighbours,
+    } = &delaunay;
+    let (cells, counts) = cells(
+        &surfaces,
+        &Tetrahedra {
+            points,
+            tetrahedra,
+            neighbours,
+        },
+        watch,
+    )?;
     let tetrahedra = delaunay.tetrahedra.len() as u64;
     drop(delaunay);
     let windings = windings(surfaces.view(), cells.view());
     let hierarchy = Hierarchy::new(surfaces.view());
-    Ok(Built { digest: scene.digest().0, surfaces, cells, windings, hierarchy, tetrahedra, counts })
+    Ok(Built {
+        digest: scene.digest().0,
+        surfaces,
+        cells,
+        windings,
+        hierarchy,
+        tetrahedra,
+        counts,
+    })
 }

@@ -39,15 +39,38 @@ pub fn divide(contents: &Contents<'_>) -> Divided {
     let places: Vec<Place> = (0..vertices as u32)
         .into_par_iter()
         // A vertex that is no point is in a file that `check` refuses.
-        .map(|v| integers.vertex(v).map(|v| field.place(&v)).unwrap_or_default())
+        .map(|v| {
+            integers
+                .vertex(v)
+                .map(|v| field.place(&v))
+                .unwrap_or_default()
+        })
         .collect();
     let mut first: FxHashMap<Place, u32> = FxHashMap::default();
-    let same: Vec<u32> = (0..).zip(&places).map(|(v, place)| *first.entry(*place).or_insert(v)).collect();
+    let same: Vec<u32> = (0..)
+        .zip(&places)
+        .map(|(v, place)| *first.entry(*place).or_insert(v))
+        .collect();
     drop(first);
-    let rings = Rings { cells, field, places: &places, same: &same, between: FxHashMap::default() };
-    let rings = Rings { between: rings.lines(&integers), ..rings };
-    let faces: Vec<Face> = (0..cells.face_count()).into_par_iter().map(|f| rings.face(f)).collect();
-    let parts: Vec<Part> = (0..cells.cell_count()).into_par_iter().map(|c| rings.cell(c, &faces)).collect();
+    let rings = Rings {
+        cells,
+        field,
+        places: &places,
+        same: &same,
+        between: FxHashMap::default(),
+    };
+    let rings = Rings {
+        between: rings.lines(&integers),
+        ..rings
+    };
+    let faces: Vec<Face> = (0..cells.face_count())
+        .into_par_iter()
+        .map(|f| rings.face(f))
+        .collect();
+    let parts: Vec<Part> = (0..cells.cell_count())
+        .into_par_iter()
+        .map(|c| rings.cell(c, &faces))
+        .collect();
     gather(contents, &faces, parts)
 }
 
@@ -80,7 +103,12 @@ struct Rings<'a> {
 impl Rings<'_> {
     /// The loop of a face, each place once.
     fn loop_of(&self, face: usize) -> Vec<u32> {
-        let mut ring: Vec<u32> = self.cells.face_loop(face).iter().map(|v| self.same[*v as usize]).collect();
+        let mut ring: Vec<u32> = self
+            .cells
+            .face_loop(face)
+            .iter()
+            .map(|v| self.same[*v as usize])
+            .collect();
         ring.dedup();
         while ring.len() > 1 && ring.first() == ring.last() {
             ring.pop();
@@ -103,13 +131,19 @@ impl Rings<'_> {
         edges.par_sort_unstable();
         edges.dedup();
         let place = |v: u32| &self.places[v as usize];
-        let mut on_lines: Vec<OnLine> =
-            edges.into_par_iter().map(|(a, b)| (self.field.line(place(a), place(b)), (a, b))).collect();
+        let mut on_lines: Vec<OnLine> = edges
+            .into_par_iter()
+            .map(|(a, b)| (self.field.line(place(a), place(b)), (a, b)))
+            .collect();
         on_lines.par_sort_unstable();
-        let groups: Vec<&[OnLine]> =
-            on_lines.chunk_by(|a, b| a.0 == b.0).filter(|group| group.len() > 1).collect();
-        let found: Vec<Vec<(Ends, Vec<u32>)>> =
-            groups.into_par_iter().map(|group| between(integers, group)).collect();
+        let groups: Vec<&[OnLine]> = on_lines
+            .chunk_by(|a, b| a.0 == b.0)
+            .filter(|group| group.len() > 1)
+            .collect();
+        let found: Vec<Vec<(Ends, Vec<u32>)>> = groups
+            .into_par_iter()
+            .map(|group| between(integers, group))
+            .collect();
         found.into_iter().flatten().collect()
     }
 
@@ -127,14 +161,25 @@ impl Rings<'_> {
             }
         }
         let n = ring.len();
-        let straight = (0..n).any(|k| self.are_in_line(ring[k], ring[(k + 1) % n], ring[(k + 2) % n]));
-        let triangles = if straight { self.clip(ring.clone()) } else { fan(&ring, least(&ring)) };
-        Face { uneven: straight, ring, triangles }
+        let straight =
+            (0..n).any(|k| self.are_in_line(ring[k], ring[(k + 1) % n], ring[(k + 2) % n]));
+        let triangles = if straight {
+            self.clip(ring.clone())
+        } else {
+            fan(&ring, least(&ring))
+        };
+        Face {
+            uneven: straight,
+            ring,
+            triangles,
+        }
     }
 
     fn are_in_line(&self, a: u32, b: u32, c: u32) -> bool {
         let [a, b, c] = [a, b, c].map(|v| &self.places[v as usize]);
-        self.field.cross(&self.field.difference(b, a), &self.field.difference(c, a)) == Place::default()
+        self.field
+            .cross(&self.field.difference(b, a), &self.field.difference(c, a))
+            == Place::default()
     }
 
     /// Divides a convex ring that has corners in the middle of its sides, so that every piece of a side is an
@@ -143,7 +188,8 @@ impl Rings<'_> {
         let mut out = Vec::with_capacity(ring.len());
         while ring.len() > 3 {
             let n = ring.len();
-            let corner = |k: usize| !self.are_in_line(ring[(k + n - 1) % n], ring[k], ring[(k + 1) % n]);
+            let corner =
+                |k: usize| !self.are_in_line(ring[(k + n - 1) % n], ring[k], ring[(k + 1) % n]);
             let corners: Vec<usize> = (0..n).filter(|k| corner(*k)).collect();
             // With three corners, one may have all the rest on the side across from it.
             let alone = |k: &&usize| {
@@ -154,7 +200,9 @@ impl Rings<'_> {
                 out.extend(fan(&ring, *k));
                 return out;
             }
-            let Some(k) = corners.into_iter().min_by_key(|k| ring[*k]) else { return out };
+            let Some(k) = corners.into_iter().min_by_key(|k| ring[*k]) else {
+                return out;
+            };
             out.push([ring[(k + n - 1) % n], ring[k], ring[(k + 1) % n]]);
             ring.remove(k);
         }
@@ -168,20 +216,31 @@ impl Rings<'_> {
     fn cell(&self, cell: usize, faces: &[Face]) -> Part {
         let listed = self.cells.faces_of(cell);
         let of = |f: &u32| &faces[(f >> 1) as usize];
-        let least = listed.iter().flat_map(|f| &of(f).ring).min().copied().unwrap_or_default();
+        let least = listed
+            .iter()
+            .flat_map(|f| &of(f).ring)
+            .min()
+            .copied()
+            .unwrap_or_default();
         let simple = listed.iter().all(|f| {
             let face = of(f);
             !face.uneven && (face.ring.contains(&least) || !self.is_in_plane(face, least))
         });
         let tip = if simple { least } else { u32::MAX };
-        let cone = listed.iter().filter(|f| !simple || !of(f).ring.contains(&least)).flat_map(|f| {
-            // Seen from inside of the cell a face that it is behind turns clockwise.
-            let turned = f & 1 == 0;
-            of(f)
-                .triangles
-                .iter()
-                .map(move |[a, b, c]| if turned { [*a, *b, *c, tip] } else { [*a, *c, *b, tip] })
-        });
+        let cone = listed
+            .iter()
+            .filter(|f| !simple || !of(f).ring.contains(&least))
+            .flat_map(|f| {
+                // Seen from inside of the cell a face that it is behind turns clockwise.
+                let turned = f & 1 == 0;
+                of(f).triangles.iter().map(move |[a, b, c]| {
+                    if turned {
+                        [*a, *b, *c, tip]
+                    } else {
+                        [*a, *c, *b, tip]
+                    }
+                })
+            });
         let tetrahedra = cone.collect();
         let middle = (!simple).then(|| {
             let mut all: Vec<u32> = listed.iter().flat_map(|f| &of(f).ring).copied().collect();
@@ -198,7 +257,9 @@ impl Rings<'_> {
     }
 
     fn is_in_plane(&self, face: &Face, vertex: u32) -> bool {
-        let Some([a, b, c]) = face.triangles.first() else { return true };
+        let Some([a, b, c]) = face.triangles.first() else {
+            return true;
+        };
         let [a, b, c, v] = [*a, *b, *c, vertex].map(|v| &self.places[v as usize]);
         let of = |v: &Place| self.field.difference(v, a);
         self.field.dot(&self.field.cross(&of(b), &of(c)), &of(v)) == [0; 2]
@@ -214,7 +275,9 @@ fn least(ring: &[u32]) -> usize {
 fn fan(ring: &[u32], from: usize) -> Vec<[u32; 3]> {
     let n = ring.len();
     let at = |k: usize| ring[(from + k) % n];
-    (1..n.saturating_sub(1)).map(|k| [ring[from], at(k), at(k + 1)]).collect()
+    (1..n.saturating_sub(1))
+        .map(|k| [ring[from], at(k), at(k + 1)])
+        .collect()
 }
 
 /// For edges on one line: the vertices of others between their ends.
@@ -222,10 +285,13 @@ fn between(integers: &Integers<'_>, group: &[OnLine]) -> Vec<(Ends, Vec<u32>)> {
     let mut vertices: Vec<u32> = group.iter().flat_map(|(_, (a, b))| [*a, *b]).collect();
     vertices.sort_unstable();
     vertices.dedup();
-    let whole: Vec<(u32, [IBig; 4])> =
-        vertices.iter().map(|v| (*v, integers.vertex(*v).unwrap_or_default())).collect();
+    let whole: Vec<(u32, [IBig; 4])> = vertices
+        .iter()
+        .map(|v| (*v, integers.vertex(*v).unwrap_or_default()))
+        .collect();
     // Two places on a line differ along the axis along which any two do.
-    let less = |axis: usize, p: &[IBig; 4], q: &[IBig; 4]| (&p[axis] * &q[3]).cmp(&(&q[axis] * &p[3]));
+    let less =
+        |axis: usize, p: &[IBig; 4], q: &[IBig; 4]| (&p[axis] * &q[3]).cmp(&(&q[axis] * &p[3]));
     let apart = |axis: &usize| match &whole[..] {
         [first, second, ..] => less(*axis, &first.1, &second.1).is_ne(),
         _ => false,

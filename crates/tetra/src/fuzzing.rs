@@ -26,9 +26,23 @@ pub fn seed() -> Vec<u8> {
 }
 
 fn file(triangles: &[[[f32; 3]; 3]]) -> Option<Vec<u8>> {
-    let all: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let all: Vec<Triangle> = triangles
+        .iter()
+        .map(|t| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .collect();
     let count = all.len() as u32;
-    let scene = Scene::new("fuzz", all, vec![Object { name: "all".into(), first: 0, count }]).ok()?;
+    let scene = Scene::new(
+        "fuzz",
+        all,
+        vec![Object {
+            name: "all".into(),
+            first: 0,
+            count,
+        }],
+    )
+    .ok()?;
     // Points whose box leaves single precision are refused.
     let built = build(&scene, &Quiet).ok()?;
     assert_eq!(check(&built.contents()), Ok(()), "{triangles:?}");
@@ -49,24 +63,40 @@ pub fn soup(bytes: &[u8]) -> bool {
             if x.is_finite() { x } else { 0.0 }
         })
     });
-    let Some(eye) = points.next() else { return false };
+    let Some(eye) = points.next() else {
+        return false;
+    };
     let mut triangles = Vec::new();
-    while let (true, Some(a), Some(b), Some(c)) =
-        (triangles.len() < MOST, points.next(), points.next(), points.next())
-    {
+    while let (true, Some(a), Some(b), Some(c)) = (
+        triangles.len() < MOST,
+        points.next(),
+        points.next(),
+        points.next(),
+    ) {
         triangles.push([a, b, c]);
     }
-    let Some(tets) = file(&triangles).map(|file| Tets::from_bytes(&file)) else { return false };
+    let Some(tets) = file(&triangles).map(|file| Tets::from_bytes(&file)) else {
+        return false;
+    };
     let tets = tets.expect("a file that was just written is read");
     let mut scratch = Scratch::default();
     let eye = eye.map(f64::from);
     let [boxes, cells] = [Engine::Boxes, Engine::Cells].map(|engine| {
-        let view = View { engine, witnesses: true, ..View::default() };
-        tets.look(eye, &view, Mode::Exact, &mut scratch).expect("a finite point").clone()
+        let view = View {
+            engine,
+            witnesses: true,
+            ..View::default()
+        };
+        tets.look(eye, &view, Mode::Exact, &mut scratch)
+            .expect("a finite point")
+            .clone()
     });
     assert_eq!(boxes.visible, cells.visible, "from {eye:?}: {triangles:?}");
     let whole = boxes.areas.iter().sum::<f64>() + boxes.sky + boxes.unseen;
-    assert!((whole - 4.0 * std::f64::consts::PI).abs() < 1e-9, "{whole} from {eye:?}: {triangles:?}");
+    assert!(
+        (whole - 4.0 * std::f64::consts::PI).abs() < 1e-9,
+        "{whole} from {eye:?}: {triangles:?}"
+    );
     true
 }
 
@@ -77,16 +107,24 @@ pub fn tets(bytes: &[u8]) -> bool {
     let _ = Tets::from_bytes(bytes).is_ok();
     let mut bytes = bytes.to_vec();
     seal(&mut bytes);
-    let Ok(tets) = Tets::from_bytes(&bytes) else { return false };
+    let Ok(tets) = Tets::from_bytes(&bytes) else {
+        return false;
+    };
     // The checker may find anything.
     let _ = check(&tets.contents());
     let mut scratch = Scratch::default();
     for x in [[0.25, 0.5, 0.125], [0.0, 0.0, 0.0], [-1e6, 3.0, 1e6]] {
         let _ = tets.inside(x, &mut scratch);
         for engine in [Engine::Boxes, Engine::Cells] {
-            let view = View { engine, ..View::default() };
+            let view = View {
+                engine,
+                ..View::default()
+            };
             let _ = tets.look(x, &view, Mode::Exact, &mut scratch);
-            let target = Target { low: [0.5; 3], high: [1.0; 3] };
+            let target = Target {
+                low: [0.5; 3],
+                high: [1.0; 3],
+            };
             let _ = tets.sees_in(x, &target, &view, Mode::Aggressive(0.01), &mut scratch);
         }
     }

@@ -43,7 +43,11 @@ pub const CLOSED: u8 = 8;
 impl Surfaces {
     /// The lists.
     pub fn view(&self) -> SurfacesView<'_> {
-        SurfacesView { points: &self.points, triangles: &self.triangles, flags: &self.flags }
+        SurfacesView {
+            points: &self.points,
+            triangles: &self.triangles,
+            flags: &self.flags,
+        }
     }
 
     /// The triangles of a scene.
@@ -63,15 +67,25 @@ impl Surfaces {
                 points.len() as u32 - 1
             })
         };
-        let triangles = scene.triangles().iter().map(|t| t.v.map(&mut number)).collect();
+        let triangles = scene
+            .triangles()
+            .iter()
+            .map(|t| t.v.map(&mut number))
+            .collect();
         for (id, t) in (0..).zip(scene.triangles()) {
             let flat = t.is_degenerate();
             let blocks = !flat && scene.blocks(id);
             let shows = !flat && scene.shows(id);
             let flag = |set: bool, flag: u8| if set { flag } else { 0 };
             let closed = solids.outward(id) == Some(1.0);
-            flags.push(flag(flat, FLAT) | flag(blocks, BLOCKS) | flag(shows, SHOWS) | flag(closed, CLOSED));
+            flags.push(
+                flag(flat, FLAT) | flag(blocks, BLOCKS) | flag(shows, SHOWS) | flag(closed, CLOSED),
+            );
         }
-        Ok(Self { points, triangles, flags })
+        Ok(Self {
+            points,
+            triangles,
+            flags,
+        })
     }
 }

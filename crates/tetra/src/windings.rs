@@ -47,10 +47,22 @@ fn behind_less_front(surfaces: SurfacesView<'_>, cells: CellsView<'_>, face: usi
         let [a, b, c] = surfaces.triangles[*t as usize];
         let own = crate::cells::Plane([a, b, c]);
         // A normal has a coordinate that is not zero; those of one plane are multiples of each other.
-        let signs =
-            (0..3).map(|axis| (own.normal_sign(cells.points, axis), plane.normal_sign(cells.points, axis)));
-        let agrees = signs.filter(|(own, _)| *own != Ordering::Equal).map(|(own, plane)| own == plane).next();
+        let signs = (0..3).map(|axis| {
+            (
+                own.normal_sign(cells.points, axis),
+                plane.normal_sign(cells.points, axis),
+            )
+        });
+        let agrees = signs
+            .filter(|(own, _)| *own != Ordering::Equal)
+            .map(|(own, plane)| own == plane)
+            .next();
         if agrees == Some(true) { 1 } else { -1 }
     };
-    cells.face_triangles(face).iter().filter(closed).map(way).sum()
+    cells
+        .face_triangles(face)
+        .iter()
+        .filter(closed)
+        .map(way)
+        .sum()
 }

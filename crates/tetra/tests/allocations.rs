@@ -35,17 +35,36 @@ unsafe impl GlobalAlloc for Counting {
 /// Asks everything twice, and checks what the second time allocates.
 fn check(triangles: Vec<Triangle>, x: [f64; 3], with_box: bool) -> u64 {
     let count = triangles.len() as u32;
-    let object = Object { name: "all".into(), first: 0, count };
-    let built = build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap();
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count,
+    };
+    let built = build(
+        &Scene::new("test", triangles, vec![object]).unwrap(),
+        &Quiet,
+    )
+    .unwrap();
     let mut file = Vec::new();
     write(&mut file, &built.contents()).unwrap();
     let tets = Tets::from_bytes(&file).unwrap();
     let mut scratch = Scratch::default();
-    let target = Target { low: [1.0; 3], high: [2.0; 3] };
+    let target = Target {
+        low: [1.0; 3],
+        high: [2.0; 3],
+    };
     let mut all = 0;
     for engine in [Engine::Boxes, Engine::Cells] {
-        for mode in [Mode::Exact, Mode::Aggressive(0.01), Mode::Conservative(0.01)] {
-            let view = View { engine, witnesses: true, ..View::default() };
+        for mode in [
+            Mode::Exact,
+            Mode::Aggressive(0.01),
+            Mode::Conservative(0.01),
+        ] {
+            let view = View {
+                engine,
+                witnesses: true,
+                ..View::default()
+            };
             let mut ask = || {
                 let mut of_box = 0;
                 if with_box {
@@ -81,14 +100,25 @@ fn nothing_but_integers_is_allocated_after_the_first_query() {
     let mut point = |size: f32| Vec3::new(unit(), unit(), unit()) * size;
     let scattered = |_| {
         let at = point(10.0);
-        Triangle { v: [at, at + point(2.0), at + point(2.0)] }
+        Triangle {
+            v: [at, at + point(2.0), at + point(2.0)],
+        }
     };
     check((0..120).map(scattered).collect(), [5.1, 4.9, 5.3], true);
     // Triangles apart from each other, and no box, whose sides are those of octants: doubles decide every
     // sign.
     let apart = |k: u32| {
         let at = Vec3::new(0.3 * (k % 5) as f32, 3.0 + k as f32, 1.7 * (k % 3) as f32);
-        Triangle { v: [at, at + Vec3::new(0.11, 0.02, 0.0), at + Vec3::new(0.0, 0.03, 0.13)] }
+        Triangle {
+            v: [
+                at,
+                at + Vec3::new(0.11, 0.02, 0.0),
+                at + Vec3::new(0.0, 0.03, 0.13),
+            ],
+        }
     };
-    assert_eq!(check((0..15).map(apart).collect(), [0.1, 0.2, 0.3], false), 0);
+    assert_eq!(
+        check((0..15).map(apart).collect(), [0.1, 0.2, 0.3], false),
+        0
+    );
 }

@@ -31,7 +31,8 @@ fn surfaces(triangles: &[[[f32; 3]; 3]]) -> Surfaces {
         });
         let [a, b, c] = t.map(Vec3::from);
         out.triangles.push(corners);
-        out.flags.push(if collinear(a, b, c) { FLAT } else { BLOCKS });
+        out.flags
+            .push(if collinear(a, b, c) { FLAT } else { BLOCKS });
     }
     out
 }
@@ -42,17 +43,29 @@ type Four = Vec<[u32; 4]>;
 /// The points, those of a box around them, and six tetrahedra of the box about one of its diagonals.
 fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
     let mut points = surfaces.points.clone();
-    let fold = |i: usize, pick: fn(f32, f32) -> f32| points.iter().map(|p| p[i]).reduce(pick).unwrap();
-    let size = (0..3).map(|i| fold(i, f32::max) - fold(i, f32::min)).fold(0.0, f32::max);
+    let fold =
+        |i: usize, pick: fn(f32, f32) -> f32| points.iter().map(|p| p[i]).reduce(pick).unwrap();
+    let size = (0..3)
+        .map(|i| fold(i, f32::max) - fold(i, f32::min))
+        .fold(0.0, f32::max);
     let min: [f32; 3] = std::array::from_fn(|i| fold(i, f32::min) - size * 0.25);
     let max: [f32; 3] = std::array::from_fn(|i| fold(i, f32::max) + size * 0.25);
     let n = points.len() as u32;
     for k in 0..8 {
-        points.push(std::array::from_fn(|i| if k >> i & 1 == 1 { max[i] } else { min[i] }));
+        points.push(std::array::from_fn(|i| {
+            if k >> i & 1 == 1 { max[i] } else { min[i] }
+        }));
     }
-    let tetrahedra: Vec<[u32; 4]> = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]]
-        .map(|[a, b, _]: [u32; 3]| [n, n + (1 << a), n + (1 << a) + (1 << b), n + 7])
-        .to_vec();
+    let tetrahedra: Vec<[u32; 4]> = [
+        [0, 1, 2],
+        [1, 2, 0],
+        [2, 0, 1],
+        [0, 2, 1],
+        [2, 1, 0],
+        [1, 0, 2],
+    ]
+    .map(|[a, b, _]: [u32; 3]| [n, n + (1 << a), n + (1 << a) + (1 << b), n + 7])
+    .to_vec();
     let face = |t: &[u32; 4], k: usize| {
         let mut f: Vec<u32> = (0..4).filter(|j| *j != k).map(|j| t[j]).collect();
         f.sort_unstable();
@@ -61,22 +74,36 @@ fn box_of(surfaces: &Surfaces) -> (Vec<[f32; 3]>, Four, Four) {
     let beyond = |i: usize, k: usize| {
         let own = face(&tetrahedra[i], k);
         let is_other = |j: &usize| *j != i && (0..4).any(|l| face(&tetrahedra[*j], l) == own);
-        (0..tetrahedra.len()).find(is_other).map_or(NONE, |j| j as u32)
+        (0..tetrahedra.len())
+            .find(is_other)
+            .map_or(NONE, |j| j as u32)
     };
-    let neighbours = (0..tetrahedra.len()).map(|i| std::array::from_fn(|k| beyond(i, k))).collect();
+    let neighbours = (0..tetrahedra.len())
+        .map(|i| std::array::from_fn(|k| beyond(i, k)))
+        .collect();
     (points, tetrahedra, neighbours)
 }
 
 fn built(surfaces: &Surfaces) -> (Cells, Counts) {
     let (points, tetrahedra, neighbours) = box_of(surfaces);
-    let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
+    let all = Tetrahedra {
+        points: &points,
+        tetrahedra: &tetrahedra,
+        neighbours: &neighbours,
+    };
     cells(surfaces, &all, &Quiet).unwrap()
 }
 
 /// What the checker says.
 fn checked(surfaces: &Surfaces, cells: &Cells, windings: &[i32]) -> Result<(), Fault> {
     let (surfaces, cells) = (surfaces.view(), cells.view());
-    check(&Contents { digest: DIGEST, surfaces, cells, windings, boxes: Boxes::default() })
+    check(&Contents {
+        digest: DIGEST,
+        surfaces,
+        cells,
+        windings,
+        boxes: Boxes::default(),
+    })
 }
 
 fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
@@ -91,7 +118,10 @@ fn passes(triangles: &[[[f32; 3]; 3]]) -> (Cells, Counts) {
 fn the_number_of_threads_changes_nothing() {
     let surfaces = surfaces(&CROSS);
     let on = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| built(&surfaces))
     };
     assert_eq!(on(1), on(3));
@@ -114,7 +144,9 @@ fn one_triangle_is_covered() {
 fn crossing_and_overlapping_triangles_pass() {
     let (cells, _) = passes(&CROSS);
     // What the small triangle covers, the large one does, too.
-    let both = (0..cells.view().face_count()).filter(|f| cells.view().face_triangles(*f) == [0, 2]).count();
+    let both = (0..cells.view().face_count())
+        .filter(|f| cells.view().face_triangles(*f) == [0, 2])
+        .count();
     assert!(both > 0);
     assert!((0..cells.view().face_count()).all(|f| cells.view().face_triangles(f) != [2]));
 }
@@ -122,9 +154,16 @@ fn crossing_and_overlapping_triangles_pass() {
 #[test]
 fn an_empty_scene_is_the_tetrahedra() {
     let surfaces = surfaces(&[[[0.0; 3], [1.0; 3], [2.0, 0.0, 0.0]]]);
-    let surfaces = Surfaces { triangles: vec![], flags: vec![], ..surfaces };
+    let surfaces = Surfaces {
+        triangles: vec![],
+        flags: vec![],
+        ..surfaces
+    };
     let (cells, _) = built(&surfaces);
-    assert_eq!((cells.view().cell_count(), cells.view().face_count()), (6, 18));
+    assert_eq!(
+        (cells.view().cell_count(), cells.view().face_count()),
+        (6, 18)
+    );
     let around = windings(surfaces.view(), cells.view());
     assert_eq!(checked(&surfaces, &cells, &around), Ok(()));
 }
@@ -166,32 +205,66 @@ fn every_kind_of_fault_is_found() {
         alter(&mut cells);
         checked(&surfaces, &cells, &around).unwrap_err()
     };
-    let inner = (0..good.view().face_count()).find(|f| !good.faces[*f].cells.contains(&NONE)).unwrap();
+    let inner = (0..good.view().face_count())
+        .find(|f| !good.faces[*f].cells.contains(&NONE))
+        .unwrap();
     let around_less = |at: usize| {
         let mut other = around.clone();
         other[at] -= 1;
         other
     };
-    assert!(matches!(checked(&surfaces, &good, &around_less(0)), Err(Fault::Solids(_))));
+    assert!(matches!(
+        checked(&surfaces, &good, &around_less(0)),
+        Err(Fault::Solids(_))
+    ));
     // Where a triangle belongs to a closed surface, the cells beside it cannot both be outside.
     let mut closed = surfaces.clone();
     closed.flags[0] |= CLOSED;
-    assert!(matches!(checked(&closed, &good, &around), Err(Fault::Solids(_))));
-    let covered = (0..good.view().face_count()).find(|f| good.view().face_triangles(*f) == [0]).unwrap();
+    assert!(matches!(
+        checked(&closed, &good, &around),
+        Err(Fault::Solids(_))
+    ));
+    let covered = (0..good.view().face_count())
+        .find(|f| good.view().face_triangles(*f) == [0])
+        .unwrap();
     let start = |f: usize| good.faces[f].loop_start as usize;
     assert_eq!(fails(&|c| c.points[0][0] += 1.0), Fault::Points);
-    assert!(matches!(fails(&|c| c.loops[0] = 1 << 30), Fault::Number { .. }));
-    assert!(matches!(fails(&|c| c.cells[1].faces_start = u32::MAX), Fault::Number { .. }));
-    assert!(matches!(fails(&|c| c.planes[0].0[1] = c.planes[0].0[0]), Fault::Plane(0)));
-    assert!(matches!(fails(&|c| c.meets[0][1] = c.meets[0][0]), Fault::Vertex(_)));
+    assert!(matches!(
+        fails(&|c| c.loops[0] = 1 << 30),
+        Fault::Number { .. }
+    ));
+    assert!(matches!(
+        fails(&|c| c.cells[1].faces_start = u32::MAX),
+        Fault::Number { .. }
+    ));
+    assert!(matches!(
+        fails(&|c| c.planes[0].0[1] = c.planes[0].0[0]),
+        Fault::Plane(0)
+    ));
+    assert!(matches!(
+        fails(&|c| c.meets[0][1] = c.meets[0][0]),
+        Fault::Vertex(_)
+    ));
     let farther = |by: f64| move |c: &mut Cells| c.rounded[0][1] += by;
     // The box is below 16 wide, and 16 · 2⁻⁴⁴ is the bound.
     assert!(matches!(fails(&farther(3e-12)), Fault::Place(_)));
     assert!(matches!(fails(&farther(-3e-12)), Fault::Place(_)));
-    assert!(matches!(fails(&|c| c.loops[start(inner)] = 0), Fault::OffPlane { .. } | Fault::NotConvex(_)));
-    assert!(matches!(fails(&|c| c.loops.swap(start(inner), start(inner) + 1)), Fault::NotConvex(_)));
-    assert!(matches!(fails(&|c| c.faces[inner].cells.swap(0, 1)), Fault::Sides(_)));
-    assert!(matches!(fails(&|c| c.faces[inner].cells[0] = NONE), Fault::Sides(_)));
+    assert!(matches!(
+        fails(&|c| c.loops[start(inner)] = 0),
+        Fault::OffPlane { .. } | Fault::NotConvex(_)
+    ));
+    assert!(matches!(
+        fails(&|c| c.loops.swap(start(inner), start(inner) + 1)),
+        Fault::NotConvex(_)
+    ));
+    assert!(matches!(
+        fails(&|c| c.faces[inner].cells.swap(0, 1)),
+        Fault::Sides(_)
+    ));
+    assert!(matches!(
+        fails(&|c| c.faces[inner].cells[0] = NONE),
+        Fault::Sides(_)
+    ));
     assert!(matches!(
         fails(&|c| {
             // Turned around with its cells on the other sides.
@@ -208,7 +281,9 @@ fn every_kind_of_fault_is_found() {
         fails(&|c| {
             let at = c.faces[covered].triangles_start as usize;
             c.triangles.remove(at);
-            c.faces[covered + 1..].iter_mut().for_each(|f| f.triangles_start -= 1);
+            c.faces[covered + 1..]
+                .iter_mut()
+                .for_each(|f| f.triangles_start -= 1);
         }),
         Fault::NotCovered(_)
     ));
@@ -226,7 +301,10 @@ fn wide() -> impl Strategy<Value = [f32; 3]> {
     prop::array::uniform3((-4i8..5, -30i32..30).prop_map(|(m, e)| f32::from(m) * 2f32.powi(e)))
 }
 
-fn soup(point: impl Strategy<Value = [f32; 3]>, most: usize) -> impl Strategy<Value = Vec<[[f32; 3]; 3]>> {
+fn soup(
+    point: impl Strategy<Value = [f32; 3]>,
+    most: usize,
+) -> impl Strategy<Value = Vec<[[f32; 3]; 3]>> {
     prop::collection::vec(prop::array::uniform3(point), 1..most)
 }
 

@@ -16,11 +16,28 @@ fn integers(x: &[[f64; 3]]) -> (Vec<[IBig; 3]>, usize) {
         let field = (c.abs().to_bits() >> 52) as usize;
         let mantissa = c.to_bits() & ((1 << 52) - 1) | if field == 0 { 0 } else { 1 << 52 };
         let zeros = mantissa.trailing_zeros();
-        (IBig::from(mantissa >> zeros) * if c < 0.0 { -1 } else { 1 }, field.max(1) + zeros as usize)
+        (
+            IBig::from(mantissa >> zeros) * if c < 0.0 { -1 } else { 1 },
+            field.max(1) + zeros as usize,
+        )
     };
-    let exponents = || x.as_flattened().iter().filter(|c| **c != 0.0).map(|c| parts(*c).1);
-    let (least, most) = (exponents().min().unwrap_or(1), exponents().max().unwrap_or(1));
-    let whole = |c: f64| if c == 0.0 { IBig::ZERO } else { parts(c).0 << (parts(c).1 - least) };
+    let exponents = || {
+        x.as_flattened()
+            .iter()
+            .filter(|c| **c != 0.0)
+            .map(|c| parts(*c).1)
+    };
+    let (least, most) = (
+        exponents().min().unwrap_or(1),
+        exponents().max().unwrap_or(1),
+    );
+    let whole = |c: f64| {
+        if c == 0.0 {
+            IBig::ZERO
+        } else {
+            parts(c).0 << (parts(c).1 - least)
+        }
+    };
     (x.iter().map(|p| p.map(whole)).collect(), most - least + 53)
 }
 
@@ -48,7 +65,10 @@ fn below(corners: [u32; 4], e: u32, points: &[[IBig; 3]], heights: &[IBig]) -> I
 }
 
 fn squares(points: &[[IBig; 3]]) -> Vec<IBig> {
-    points.iter().map(|[x, y, z]| x * x + y * y + z * z).collect()
+    points
+        .iter()
+        .map(|[x, y, z]| x * x + y * y + z * z)
+        .collect()
 }
 
 fn sorted(mut corners: [u32; 4]) -> [u32; 4] {
@@ -65,10 +85,15 @@ fn brute_force(points: &[[f32; 3]]) -> BTreeSet<[u32; 4]> {
     let raised = |(k, square): (usize, IBig)| {
         (square << (step * (points.len() + 1))) + (IBig::ONE << (step * (points.len() - 1 - k)))
     };
-    let heights: Vec<IBig> = squares(&points).into_iter().enumerate().map(raised).collect();
+    let heights: Vec<IBig> = squares(&points)
+        .into_iter()
+        .enumerate()
+        .map(raised)
+        .collect();
     let n = points.len() as u32;
     let quadruples = (0..n).flat_map(move |a| {
-        (a + 1..n).flat_map(move |b| (b + 1..n).flat_map(move |c| (c + 1..n).map(move |d| [a, b, c, d])))
+        (a + 1..n)
+            .flat_map(move |b| (b + 1..n).flat_map(move |c| (c + 1..n).map(move |d| [a, b, c, d])))
     });
     let keeps = |&[a, b, c, d]: &[u32; 4]| {
         let corners = match volume([a, b, c, d].map(|k| &points[k as usize])).cmp(&IBig::ZERO) {
@@ -103,13 +128,21 @@ fn check(d: &Delaunay, given: &[[f32; 3]]) {
             if neighbours[k] == NONE {
                 let first = given.len() as u32;
                 assert!(face.iter().all(|c| *c >= first), "{face:?}");
-                let on = |axis: u32, side: u32| face.iter().all(|c| (c - first) >> axis & 1 == side);
+                let on =
+                    |axis: u32, side: u32| face.iter().all(|c| (c - first) >> axis & 1 == side);
                 assert!((0..3).any(|axis| on(axis, 0) || on(axis, 1)), "{face:?}");
                 continue;
             }
-            let (other, back) = (d.tetrahedra[neighbours[k] as usize], d.neighbours[neighbours[k] as usize]);
+            let (other, back) = (
+                d.tetrahedra[neighbours[k] as usize],
+                d.neighbours[neighbours[k] as usize],
+            );
             let opposite = back.iter().position(|b| *b == t).unwrap();
-            assert!((0..4).filter(|m| *m != opposite).all(|m| face.contains(&other[m])));
+            assert!(
+                (0..4)
+                    .filter(|m| *m != opposite)
+                    .all(|m| face.contains(&other[m]))
+            );
             assert!(below(*corners, other[opposite], &points, &heights) <= IBig::ZERO);
         }
     }
@@ -126,23 +159,35 @@ fn is_brute_force(points: &[[f32; 3]]) {
     assert_eq!(found.len(), d.tetrahedra.len());
     assert_eq!(found, brute_force(&d.points), "{points:?}");
     for seed in 1..4 {
-        assert_eq!(Delaunay::with_seed(points, seed, &Quiet).unwrap(), d, "{points:?}");
+        assert_eq!(
+            Delaunay::with_seed(points, seed, &Quiet).unwrap(),
+            d,
+            "{points:?}"
+        );
     }
 }
 
 fn distinct(points: Vec<[f32; 3]>) -> Vec<[f32; 3]> {
     let mut seen = BTreeSet::new();
-    points.into_iter().filter(|p| seen.insert(p.map(|c| (c + 0.0).to_bits()))).collect()
+    points
+        .into_iter()
+        .filter(|p| seen.insert(p.map(|c| (c + 0.0).to_bits())))
+        .collect()
 }
 
 fn cube(n: i32) -> Vec<[f32; 3]> {
-    (0..n * n * n).map(|i| [i % n, i / n % n, i / n / n].map(|c| c as f32)).collect()
+    (0..n * n * n)
+        .map(|i| [i % n, i / n % n, i / n / n].map(|c| c as f32))
+        .collect()
 }
 
 /// Integer points at distance 9 from the origin.
 fn sphere() -> Vec<[f32; 3]> {
-    let all = (-9i32..10).flat_map(|x| (-9..10).flat_map(move |y| (-9..10).map(move |z| [x, y, z])));
-    all.filter(|p| p.iter().map(|c| c * c).sum::<i32>() == 81).map(|p| p.map(|c| c as f32)).collect()
+    let all =
+        (-9i32..10).flat_map(|x| (-9..10).flat_map(move |y| (-9..10).map(move |z| [x, y, z])));
+    all.filter(|p| p.iter().map(|c| c * c).sum::<i32>() == 81)
+        .map(|p| p.map(|c| c as f32))
+        .collect()
 }
 
 /// From `x`, whether all tetrahedra can be visited so that each comes after all that are in front of it.
@@ -155,7 +200,9 @@ fn has_order(d: &Delaunay, x: [f64; 3]) -> bool {
     };
     let mut waits = vec![0; d.tetrahedra.len()];
     let all = 0..d.tetrahedra.len() as u32;
-    all.clone().flat_map(behind).for_each(|t| waits[t as usize] += 1);
+    all.clone()
+        .flat_map(behind)
+        .for_each(|t| waits[t as usize] += 1);
     let mut ready: Vec<u32> = all.filter(|t| waits[*t as usize] == 0).collect();
     let mut visited = 0;
     while let Some(t) = ready.pop() {
@@ -194,8 +241,16 @@ fn no_point_one_point_and_flat_sets() {
     is_brute_force(&[[0.0; 3]]);
     is_brute_force(&[[5.5, -7.25, 1e-20]]);
     is_brute_force(&(0..9).map(|i| [i as f32, 0.0, 0.0]).collect::<Vec<_>>());
-    is_brute_force(&(0..9).map(|i| [i as f32, 2.0 * i as f32, -i as f32]).collect::<Vec<_>>());
-    is_brute_force(&(0..9).map(|i| [(i % 3) as f32, (i / 3) as f32, 4.0]).collect::<Vec<_>>());
+    is_brute_force(
+        &(0..9)
+            .map(|i| [i as f32, 2.0 * i as f32, -i as f32])
+            .collect::<Vec<_>>(),
+    );
+    is_brute_force(
+        &(0..9)
+            .map(|i| [(i % 3) as f32, (i / 3) as f32, 4.0])
+            .collect::<Vec<_>>(),
+    );
 }
 
 #[test]
@@ -207,7 +262,12 @@ fn one_sphere() {
     let d = Delaunay::new(&all).unwrap();
     check(&d, &all);
     assert_eq!(Delaunay::with_seed(&all, 9, &Quiet).unwrap(), d);
-    for x in [[0.0; 3], [9.0, 0.0, 0.0], [0.1, 0.2, 0.3], [100.0, 1.0, -50.0]] {
+    for x in [
+        [0.0; 3],
+        [9.0, 0.0, 0.0],
+        [0.1, 0.2, 0.3],
+        [100.0, 1.0, -50.0],
+    ] {
         assert!(has_order(&d, x), "{x:?}");
     }
 }
@@ -218,7 +278,13 @@ fn lattice_of_a_thousand() {
     let d = Delaunay::new(&points).unwrap();
     check(&d, &points);
     assert_eq!(Delaunay::with_seed(&points, 1, &Quiet).unwrap(), d);
-    for x in [[4.5; 3], [3.0, 4.0, 5.0], [0.5, 0.0, 7.25], [-30.0, 4.0, 4.0], [4.25, 4.5, 4.125]] {
+    for x in [
+        [4.5; 3],
+        [3.0, 4.0, 5.0],
+        [0.5, 0.0, 7.25],
+        [-30.0, 4.0, 4.0],
+        [4.25, 4.5, 4.125],
+    ] {
         assert!(has_order(&d, x), "{x:?}");
     }
     // The numbers decide the ties, so another numbering has other tetrahedra, as sound as the first.
@@ -239,7 +305,13 @@ fn lattices_beyond_the_bits_of_f64() {
     assert_eq!(Delaunay::with_seed(&points, 1, &Quiet).unwrap(), d);
     assert!(has_order(&d, [1536.0; 3]));
     let (tiny, huge) = (f32::from_bits(1), 1e38);
-    is_brute_force(&[[0.0; 3], [tiny, 0.0, 0.0], [0.0, tiny, 0.0], [0.0, 0.0, tiny], [tiny, tiny, 0.0]]);
+    is_brute_force(&[
+        [0.0; 3],
+        [tiny, 0.0, 0.0],
+        [0.0, tiny, 0.0],
+        [0.0, 0.0, tiny],
+        [tiny, tiny, 0.0],
+    ]);
     is_brute_force(&[
         [huge, 0.0, 0.0],
         [1e-38, 0.0, 0.0],
@@ -251,12 +323,28 @@ fn lattices_beyond_the_bits_of_f64() {
 #[test]
 fn bad_points() {
     let nan = Delaunay::new(&[[0.0; 3], [1.0, f32::NAN, 0.0]]).unwrap_err();
-    assert!(matches!(nan, DelaunayError::NotFinite { index: 1, .. }), "{nan}");
+    assert!(
+        matches!(nan, DelaunayError::NotFinite { index: 1, .. }),
+        "{nan}"
+    );
     let far = Delaunay::new(&[[f32::INFINITY, 0.0, 0.0]]).unwrap_err();
-    assert!(matches!(far, DelaunayError::NotFinite { index: 0, .. }), "{far}");
+    assert!(
+        matches!(far, DelaunayError::NotFinite { index: 0, .. }),
+        "{far}"
+    );
     let points = [[1.0, 0.0, 2.0], [3.0, 4.0, 5.0], [1.0, -0.0, 2.0]];
     let double = Delaunay::new(&points).unwrap_err();
-    assert!(matches!(double, DelaunayError::Duplicate { first: 0, second: 2, .. }), "{double}");
+    assert!(
+        matches!(
+            double,
+            DelaunayError::Duplicate {
+                first: 0,
+                second: 2,
+                ..
+            }
+        ),
+        "{double}"
+    );
     let edge = Delaunay::new(&[[f32::MAX; 3], [f32::MIN; 3]]).unwrap_err();
     assert_eq!(edge, DelaunayError::TooFar { reach: f32::MAX });
 }
@@ -275,11 +363,21 @@ fn places_on_a_lattice_are_found() {
             hint = t;
         }
     }
-    for x in [[f64::NAN, 1.0, 1.0], [1.0, f64::INFINITY, 1.0], [1e300, 1.0, 1.0], [1.0, 1.0, -1e9]] {
+    for x in [
+        [f64::NAN, 1.0, 1.0],
+        [1.0, f64::INFINITY, 1.0],
+        [1e300, 1.0, 1.0],
+        [1.0, 1.0, -1e9],
+    ] {
         assert_eq!(d.locate(x, 0), None);
     }
     let corner = d.bounds()[0].map(f64::from);
-    for x in [[1e-320, 1.0, 2.0], [1.0 + f64::EPSILON, 1.0, 1.0], [-1e-310, 1e-200, 3.0], corner] {
+    for x in [
+        [1e-320, 1.0, 2.0],
+        [1.0 + f64::EPSILON, 1.0, 1.0],
+        [-1e-310, 1e-200, 3.0],
+        corner,
+    ] {
         assert!(holds(&d, d.locate(x, 7).unwrap(), x), "{x:?}");
     }
 }
@@ -296,22 +394,43 @@ fn powers_are_those_of_the_spheres() {
         if corners.iter().all(|c| *c < 27) {
             // The sphere of a cube of the lattice, centred in its middle: 3/4 is the squared radius.
             let middle: [f64; 3] = std::array::from_fn(|k| {
-                corners.iter().map(|c| f64::from(points[*c as usize][k])).fold(f64::MAX, f64::min) + 0.5
+                corners
+                    .iter()
+                    .map(|c| f64::from(points[*c as usize][k]))
+                    .fold(f64::MAX, f64::min)
+                    + 0.5
             });
-            let power: f64 = (0..3).map(|k| (x[k] - middle[k]) * (x[k] - middle[k])).sum::<f64>() - 0.75;
-            assert!((d.power(t, x) - power).abs() < 1e-9, "{} {power}", d.power(t, x));
+            let power: f64 = (0..3)
+                .map(|k| (x[k] - middle[k]) * (x[k] - middle[k]))
+                .sum::<f64>()
+                - 0.75;
+            assert!(
+                (d.power(t, x) - power).abs() < 1e-9,
+                "{} {power}",
+                d.power(t, x)
+            );
         }
     }
 }
 
 fn some_points() -> impl Strategy<Value = Vec<[f32; 3]>> {
-    let few = |point: BoxedStrategy<[f32; 3]>| prop::collection::vec(point, 0..12).prop_map(distinct);
-    let lattice = |n: i32| prop::array::uniform3(0..n).prop_map(|p| p.map(|c| c as f32)).boxed();
-    let plane = (0i32..4, 0i32..4).prop_map(|(u, v)| [u, v, u - v].map(|c| c as f32)).boxed();
+    let few =
+        |point: BoxedStrategy<[f32; 3]>| prop::collection::vec(point, 0..12).prop_map(distinct);
+    let lattice = |n: i32| {
+        prop::array::uniform3(0..n)
+            .prop_map(|p| p.map(|c| c as f32))
+            .boxed()
+    };
+    let plane = (0i32..4, 0i32..4)
+        .prop_map(|(u, v)| [u, v, u - v].map(|c| c as f32))
+        .boxed();
     let on_sphere = prop::sample::select(sphere()).boxed();
-    let shifted = prop::sample::select(sphere()).prop_map(|p| p.map(|c| c * 0.125 + 1000.0)).boxed();
+    let shifted = prop::sample::select(sphere())
+        .prop_map(|p| p.map(|c| c * 0.125 + 1000.0))
+        .boxed();
     let reals = prop::array::uniform3(-1.0f32..1.0).boxed();
-    let near = prop::array::uniform3(0u32..3).prop_map(|p| p.map(|c| f32::from_bits(1.5f32.to_bits() + c)));
+    let near = prop::array::uniform3(0u32..3)
+        .prop_map(|p| p.map(|c| f32::from_bits(1.5f32.to_bits() + c)));
     prop_oneof![
         few(lattice(3)),
         few(lattice(5)),
@@ -326,7 +445,13 @@ fn some_points() -> impl Strategy<Value = Vec<[f32; 3]>> {
 /// Coordinates of all magnitudes that leave room for a box.
 fn any_magnitude() -> impl Strategy<Value = Vec<[f32; 3]>> {
     let c = any::<f32>().prop_filter("room for the box", |c| c.is_finite() && c.abs() < 2e38);
-    let c = prop_oneof![c, Just(0.0), Just(1.0), Just(f32::MIN_POSITIVE), Just(f32::from_bits(1))];
+    let c = prop_oneof![
+        c,
+        Just(0.0),
+        Just(1.0),
+        Just(f32::MIN_POSITIVE),
+        Just(f32::from_bits(1))
+    ];
     prop::collection::vec(prop::array::uniform3(c), 0..5).prop_map(distinct)
 }
 
@@ -367,13 +492,26 @@ proptest! {
 #[ignore = "prints times; takes many seconds"]
 fn times() {
     let mut sets = vec![("lattice".to_owned(), cube(100))];
-    for path in std::env::var("DELAUNAY_SCENES").unwrap_or_default().split_whitespace() {
+    for path in std::env::var("DELAUNAY_SCENES")
+        .unwrap_or_default()
+        .split_whitespace()
+    {
         let scene = sightline_scene::load(std::path::Path::new(path)).unwrap();
-        sets.push((path.to_owned(), sightline_tetra::surfaces::Surfaces::new(&scene).unwrap().points));
+        sets.push((
+            path.to_owned(),
+            sightline_tetra::surfaces::Surfaces::new(&scene)
+                .unwrap()
+                .points,
+        ));
     }
     for (name, points) in sets {
         let start = std::time::Instant::now();
         let d = Delaunay::new(&points).unwrap();
-        println!("{name}: {} points, {} tetrahedra, {:?}", points.len(), d.tetrahedra.len(), start.elapsed());
+        println!(
+            "{name}: {} points, {} tetrahedra, {:?}",
+            points.len(),
+            d.tetrahedra.len(),
+            start.elapsed()
+        );
     }
 }

@@ -13,9 +13,18 @@ use sightline_tetra::{Quiet, build};
 type T = [[f32; 3]; 3];
 
 fn check(triangles: &[T]) -> Result<(), TestCaseError> {
-    let all: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let all: Vec<Triangle> = triangles
+        .iter()
+        .map(|t| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .collect();
     let count = all.len() as u32;
-    let object = Object { name: "all".into(), first: 0, count };
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count,
+    };
     let built = build(&Scene::new("test", all, vec![object]).unwrap(), &Quiet).unwrap();
     let divided = divide(&built.contents());
     let place = |v: u32| DVec3::from(divided.places[v as usize]);
@@ -31,18 +40,34 @@ fn check(triangles: &[T]) -> Result<(), TestCaseError> {
         for face in [[*a, *b, *c], [*a, *d, *b], [*b, *d, *c], [*c, *d, *a]] {
             let mut sorted = face;
             sorted.sort_unstable();
-            prop_assert!(sorted[0] < sorted[1] && sorted[1] < sorted[2], "flat: {:?}", face);
+            prop_assert!(
+                sorted[0] < sorted[1] && sorted[1] < sorted[2],
+                "flat: {:?}",
+                face
+            );
             let at = (0..3).find(|k| face[*k] == sorted[0]).unwrap();
-            faces.entry(sorted).or_default().push(face[(at + 1) % 3] == sorted[1]);
+            faces
+                .entry(sorted)
+                .or_default()
+                .push(face[(at + 1) % 3] == sorted[1]);
         }
     }
-    prop_assert!((volume / size.element_product() - 1.0).abs() < 1e-12, "{} of {}", volume, size);
+    prop_assert!(
+        (volume / size.element_product() - 1.0).abs() < 1e-12,
+        "{} of {}",
+        volume,
+        size
+    );
     for (face, sides) in &faces {
         // Places are rounded.
-        let is_at =
-            |v: &u32, k: usize, c: &[f32; 3]| (place(*v)[k] - f64::from(c[k])).abs() < 1e-12 * size[k];
-        let on_box =
-            (0..3).any(|k| [corners[0], corners[7]].iter().any(|c| face.iter().all(|v| is_at(v, k, c))));
+        let is_at = |v: &u32, k: usize, c: &[f32; 3]| {
+            (place(*v)[k] - f64::from(c[k])).abs() < 1e-12 * size[k]
+        };
+        let on_box = (0..3).any(|k| {
+            [corners[0], corners[7]]
+                .iter()
+                .any(|c| face.iter().all(|v| is_at(v, k, c)))
+        });
         match sides[..] {
             [_] => prop_assert!(on_box, "{:?} has one tetrahedron", face),
             [one, other] => prop_assert!(one != other && !on_box, "{:?}", face),
@@ -60,7 +85,12 @@ fn check(triangles: &[T]) -> Result<(), TestCaseError> {
     for (t, covered) in triangles.iter().zip(covered) {
         let [p, q, r] = t.map(|v| Vec3::from(v).as_dvec3());
         let whole = (q - p).cross(r - p).length();
-        prop_assert!((covered - whole).abs() < 1e-9 * size.length_squared(), "{} of {}", covered, whole);
+        prop_assert!(
+            (covered - whole).abs() < 1e-9 * size.length_squared(),
+            "{} of {}",
+            covered,
+            whole
+        );
     }
     Ok(())
 }

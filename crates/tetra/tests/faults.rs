@@ -36,15 +36,27 @@ impl Loose {
         };
         Self {
             faces: (0..view.face_count()).map(face).collect(),
-            cells: (0..view.cell_count()).map(|c| view.faces_of(c).to_vec()).collect(),
+            cells: (0..view.cell_count())
+                .map(|c| view.faces_of(c).to_vec())
+                .collect(),
         }
     }
 
     /// The lists of the file again; points, planes and vertices are those of `base`.
     fn joined(self, base: &Cells) -> Cells {
-        let mut out = Cells { faces: vec![], loops: vec![], triangles: vec![], ..base.clone() };
+        let mut out = Cells {
+            faces: vec![],
+            loops: vec![],
+            triangles: vec![],
+            ..base.clone()
+        };
         (out.cells, out.cell_faces) = (vec![], vec![]);
-        let end = Face { plane: NONE, vertices: vec![], triangles: vec![], cells: [NONE; 2] };
+        let end = Face {
+            plane: NONE,
+            vertices: vec![],
+            triangles: vec![],
+            cells: [NONE; 2],
+        };
         for face in self.faces.into_iter().chain([end]) {
             out.faces.push(FaceRecord {
                 plane: face.plane,
@@ -56,10 +68,16 @@ impl Loose {
             out.triangles.extend(face.triangles);
         }
         for (k, faces) in (0..).zip(self.cells) {
-            out.cells.push(CellRecord { tetrahedron: k, faces_start: out.cell_faces.len() as u32 });
+            out.cells.push(CellRecord {
+                tetrahedron: k,
+                faces_start: out.cell_faces.len() as u32,
+            });
             out.cell_faces.extend(faces);
         }
-        out.cells.push(CellRecord { tetrahedron: NONE, faces_start: out.cell_faces.len() as u32 });
+        out.cells.push(CellRecord {
+            tetrahedron: NONE,
+            faces_start: out.cell_faces.len() as u32,
+        });
         out
     }
 
@@ -67,7 +85,9 @@ impl Loose {
     fn inner(&self, faces: usize) -> u32 {
         let fits = |f: &Face| {
             f.triangles.is_empty()
-                && f.cells.iter().all(|c| *c != NONE && self.cells[*c as usize].len() >= faces)
+                && f.cells
+                    .iter()
+                    .all(|c| *c != NONE && self.cells[*c as usize].len() >= faces)
         };
         self.faces.iter().position(fits).unwrap() as u32
     }
@@ -79,10 +99,22 @@ fn world() -> Built {
         [[1.0, 1.0, -2.0], [1.0, 1.0, 2.0], [3.0, 3.0, 1.0]],
         [[0.5, 2.0, -1.0], [3.5, -1.0, 1.0], [2.0, 2.0, 3.0]],
     ];
-    let triangles: Vec<Triangle> =
-        triangles.map(|t| Triangle { v: t.map(Vec3::from_array) }).into_iter().collect();
-    let object = Object { name: "all".into(), first: 0, count: 3 };
-    build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap()
+    let triangles: Vec<Triangle> = triangles
+        .map(|t| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .into_iter()
+        .collect();
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count: 3,
+    };
+    build(
+        &Scene::new("test", triangles, vec![object]).unwrap(),
+        &Quiet,
+    )
+    .unwrap()
 }
 
 /// What the checker says of altered cells.
@@ -91,14 +123,25 @@ fn fault(built: &Built, alter: impl Fn(&mut Loose)) -> Fault {
     alter(&mut loose);
     let windings = vec![0; loose.cells.len()];
     let cells = loose.joined(&built.cells);
-    check(&Contents { cells: cells.view(), windings: &windings, ..built.contents() }).unwrap_err()
+    check(&Contents {
+        cells: cells.view(),
+        windings: &windings,
+        ..built.contents()
+    })
+    .unwrap_err()
 }
 
 #[test]
 fn lists_that_were_taken_apart_and_joined_again_pass() {
     let built = world();
     let cells = Loose::of(&built.cells).joined(&built.cells);
-    assert_eq!(check(&Contents { cells: cells.view(), ..built.contents() }), Ok(()));
+    assert_eq!(
+        check(&Contents {
+            cells: cells.view(),
+            ..built.contents()
+        }),
+        Ok(())
+    );
 }
 
 #[test]
@@ -108,8 +151,21 @@ fn a_cell_of_another_tetrahedron_is_found() {
     for (cell, tetrahedron) in [(0, 1), (7, 5_000_000), (last - 1, 0), (last, 0)] {
         let mut cells = built.cells.clone();
         cells.cells[cell].tetrahedron = tetrahedron;
-        let found = check(&Contents { cells: cells.view(), ..built.contents() }).unwrap_err();
-        assert!(matches!(found, Fault::Number { list: "tetrahedra of cells", .. }), "{found:?}");
+        let found = check(&Contents {
+            cells: cells.view(),
+            ..built.contents()
+        })
+        .unwrap_err();
+        assert!(
+            matches!(
+                found,
+                Fault::Number {
+                    list: "tetrahedra of cells",
+                    ..
+                }
+            ),
+            "{found:?}"
+        );
     }
 }
 
@@ -131,11 +187,17 @@ fn cells_on_the_wrong_sides_of_a_face_are_found() {
     let face = Loose::of(&built.cells).inner(4);
     let found = fault(&built, |all| {
         for cell in all.faces[face as usize].cells {
-            all.cells[cell as usize].iter_mut().filter(|f| **f / 2 == face).for_each(|f| *f ^= 1);
+            all.cells[cell as usize]
+                .iter_mut()
+                .filter(|f| **f / 2 == face)
+                .for_each(|f| *f ^= 1);
         }
         all.faces[face as usize].cells.swap(0, 1);
     });
-    assert!(matches!(found, Fault::Beyond { face: at, .. } if at == face), "{found:?}");
+    assert!(
+        matches!(found, Fault::Beyond { face: at, .. } if at == face),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -155,8 +217,14 @@ fn a_cell_without_an_inside_is_found() {
             let copy = all.faces.len() as u32;
             let behind = all.faces[face].cells[1];
             all.faces[face].cells[1] = cell;
-            all.faces.push(Face { triangles: vec![], cells: [cell, behind], ..all.faces[face].clone() });
-            let listed = all.cells[behind as usize].iter_mut().find(|f| **f == face as u32 * 2 + 1);
+            all.faces.push(Face {
+                triangles: vec![],
+                cells: [cell, behind],
+                ..all.faces[face].clone()
+            });
+            let listed = all.cells[behind as usize]
+                .iter_mut()
+                .find(|f| **f == face as u32 * 2 + 1);
             *listed.unwrap() = copy * 2 + 1;
             own.extend([face as u32 * 2 + 1, copy * 2]);
         }
@@ -174,10 +242,16 @@ fn a_hole_between_two_cells_is_found() {
         all.faces.remove(face as usize);
         for faces in &mut all.cells {
             faces.retain(|f| f / 2 != face);
-            faces.iter_mut().filter(|f| **f / 2 > face).for_each(|f| *f -= 2);
+            faces
+                .iter_mut()
+                .filter(|f| **f / 2 > face)
+                .for_each(|f| *f -= 2);
         }
     });
-    assert!(matches!(found, Fault::Open(cell) if cells.contains(&cell)), "{found:?}");
+    assert!(
+        matches!(found, Fault::Open(cell) if cells.contains(&cell)),
+        "{found:?}"
+    );
 }
 
 #[test]
@@ -186,11 +260,20 @@ fn cells_that_fill_the_box_twice_are_found() {
     let found = fault(&built, |all| {
         let (faces, cells) = (all.faces.len() as u32, all.cells.len() as u32);
         let moved = |c: u32| if c == NONE { NONE } else { c + cells };
-        let copies: Vec<Face> =
-            all.faces.iter().map(|f| Face { cells: f.cells.map(moved), ..f.clone() }).collect();
+        let copies: Vec<Face> = all
+            .faces
+            .iter()
+            .map(|f| Face {
+                cells: f.cells.map(moved),
+                ..f.clone()
+            })
+            .collect();
         all.faces.extend(copies);
-        let copies: Vec<Vec<u32>> =
-            all.cells.iter().map(|of| of.iter().map(|f| f + 2 * faces).collect()).collect();
+        let copies: Vec<Vec<u32>> = all
+            .cells
+            .iter()
+            .map(|of| of.iter().map(|f| f + 2 * faces).collect())
+            .collect();
         all.cells.extend(copies);
     });
     assert_eq!(found, Fault::Volume);

@@ -21,7 +21,13 @@ fn built() -> Built {
     };
     let mut points = surfaces.points.clone();
     points.extend((0..8).map(|k| [0, 1, 2].map(|i| (k >> i & 1) as f32)));
-    let tetrahedra = [[3, 4, 5, 7], [6, 4, 5, 10], [8, 4, 7, 10], [9, 5, 7, 10], [4, 5, 7, 10]];
+    let tetrahedra = [
+        [3, 4, 5, 7],
+        [6, 4, 5, 10],
+        [8, 4, 7, 10],
+        [9, 5, 7, 10],
+        [4, 5, 7, 10],
+    ];
     let inner = 4;
     let neighbours = [
         [inner, NONE, NONE, NONE],
@@ -30,12 +36,24 @@ fn built() -> Built {
         [inner, NONE, NONE, NONE],
         [3, 2, 1, 0],
     ];
-    let all = Tetrahedra { points: &points, tetrahedra: &tetrahedra, neighbours: &neighbours };
+    let all = Tetrahedra {
+        points: &points,
+        tetrahedra: &tetrahedra,
+        neighbours: &neighbours,
+    };
     let (cells, counts) = cells(&surfaces, &all, &Quiet).unwrap();
     assert!(counts.cut > 0);
     let windings = windings(surfaces.view(), cells.view());
     let hierarchy = Hierarchy::new(surfaces.view());
-    Built { digest: DIGEST, surfaces, cells, windings, hierarchy, tetrahedra: 5, counts }
+    Built {
+        digest: DIGEST,
+        surfaces,
+        cells,
+        windings,
+        hierarchy,
+        tetrahedra: 5,
+        counts,
+    }
 }
 
 fn bytes(built: &Built) -> Vec<u8> {
@@ -48,9 +66,16 @@ fn bytes(built: &Built) -> Vec<u8> {
 fn what_was_written_is_read() {
     let built = built();
     let file = bytes(&built);
-    assert_eq!(Tets::from_bytes(&file).unwrap().contents(), built.contents());
+    assert_eq!(
+        Tets::from_bytes(&file).unwrap().contents(),
+        built.contents()
+    );
     let layout = Layout::parse(&file).unwrap();
-    assert!(Section::ALL.iter().all(|s| layout.range(*s).start.is_multiple_of(8)));
+    assert!(
+        Section::ALL
+            .iter()
+            .all(|s| layout.range(*s).start.is_multiple_of(8))
+    );
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.tets");
     std::fs::write(&path, &file).unwrap();
@@ -60,7 +85,10 @@ fn what_was_written_is_read() {
     std::fs::File::create(&path).unwrap();
     assert_eq!(opened.contents(), built.contents());
     assert!(matches!(Tets::open(&path), Err(TetsError::NotTets)));
-    assert!(matches!(Tets::open(directory.path().join("b").as_path()), Err(TetsError::Open { .. })));
+    assert!(matches!(
+        Tets::open(directory.path().join("b").as_path()),
+        Err(TetsError::Open { .. })
+    ));
 }
 
 #[test]

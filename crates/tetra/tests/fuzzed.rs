@@ -9,7 +9,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -22,8 +23,22 @@ impl Random {
 }
 
 /// Numbers that meet, nearly meet, and reach the limits of single precision.
-const NUMBERS: [f32; 14] =
-    [0.0, -0.0, 1.0, -1.0, 0.5, 2.0, 3.0, 1.0 + f32::EPSILON, 1e-30, 1e-45, 1e20, -1e20, 3e37, 0.1];
+const NUMBERS: [f32; 14] = [
+    0.0,
+    -0.0,
+    1.0,
+    -1.0,
+    0.5,
+    2.0,
+    3.0,
+    1.0 + f32::EPSILON,
+    1e-30,
+    1e-45,
+    1e20,
+    -1e20,
+    3e37,
+    0.1,
+];
 
 #[test]
 fn soups_of_any_numbers_have_cells_and_are_seen_alike() {
@@ -31,14 +46,17 @@ fn soups_of_any_numbers_have_cells_and_are_seen_alike() {
     let mut built = 0;
     for _ in 0..120 {
         let points = 4 + 3 * random.below(6);
-        let bytes: Vec<u8> =
-            (0..points * 3).flat_map(|_| NUMBERS[random.below(NUMBERS.len())].to_le_bytes()).collect();
+        let bytes: Vec<u8> = (0..points * 3)
+            .flat_map(|_| NUMBERS[random.below(NUMBERS.len())].to_le_bytes())
+            .collect();
         built += usize::from(soup(&bytes));
     }
     assert!(built > 90, "{built} soups had cells");
     // Bits of any kind.
     for _ in 0..40 {
-        let bytes: Vec<u8> = (0..12 * (4 + 3 * random.below(4))).map(|_| random.below(256) as u8).collect();
+        let bytes: Vec<u8> = (0..12 * (4 + 3 * random.below(4)))
+            .map(|_| random.below(256) as u8)
+            .collect();
         soup(&bytes);
     }
 }

@@ -16,9 +16,20 @@ fn cube(low: [f32; 3], high: [f32; 3], out: bool) -> Vec<T> {
     let corner = |bits: usize| -> [f32; 3] {
         std::array::from_fn(|k| if bits >> k & 1 == 1 { high[k] } else { low[k] })
     };
-    let sides = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let halves = sides.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]);
-    halves.map(|[a, b, c]| if out { [a, b, c] } else { [a, c, b] }.map(corner)).collect()
+    let sides = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
+    let halves = sides
+        .into_iter()
+        .flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]);
+    halves
+        .map(|[a, b, c]| if out { [a, b, c] } else { [a, c, b] }.map(corner))
+        .collect()
 }
 
 fn tets(triangles: &[T]) -> Tets {
@@ -27,13 +38,30 @@ fn tets(triangles: &[T]) -> Tets {
 
 /// The same with some triangles see-through.
 fn tets_with(triangles: &[T], see_through: &[u32]) -> Tets {
-    let triangles: Vec<Triangle> =
-        triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let triangles: Vec<Triangle> = triangles
+        .iter()
+        .map(|t| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .collect();
     let count = triangles.len() as u32;
-    let object = Object { name: "all".into(), first: 0, count };
-    let kind = |id: u32| if see_through.contains(&id) { Kind::SeeThrough } else { Kind::Opaque };
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count,
+    };
+    let kind = |id: u32| {
+        if see_through.contains(&id) {
+            Kind::SeeThrough
+        } else {
+            Kind::Opaque
+        }
+    };
     let kinds = Kinds::from_runs((0..count).map(|id| (1, kind(id), "a test")), Vec::new());
-    let scene = Scene::new("test", triangles, vec![object]).unwrap().with_kinds("test", kinds).unwrap();
+    let scene = Scene::new("test", triangles, vec![object])
+        .unwrap()
+        .with_kinds("test", kinds)
+        .unwrap();
     let built = build(&scene, &Quiet).unwrap();
     assert_eq!(check(&built.contents()), Ok(()));
     let mut file = Vec::new();
@@ -60,7 +88,10 @@ fn a_solid_holds_its_inside_and_not_its_border() {
     ] {
         assert_eq!(inside(&tets, x), expected, "{x:?}");
     }
-    assert!(tets.inside([f64::NAN, 0.0, 0.0], &mut Scratch::default()).is_err());
+    assert!(
+        tets.inside([f64::NAN, 0.0, 0.0], &mut Scratch::default())
+            .is_err()
+    );
 }
 
 #[test]
@@ -68,7 +99,11 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
     let mut hollow = cube([0.0; 3], [4.0; 3], true);
     hollow.extend(cube([1.0; 3], [3.0; 3], false));
     let hollow = tets(&hollow);
-    assert!([0.5, 1.2, 2.0, 3.5].into_iter().all(|at| inside(&hollow, [at; 3])));
+    assert!(
+        [0.5, 1.2, 2.0, 3.5]
+            .into_iter()
+            .all(|at| inside(&hollow, [at; 3]))
+    );
     // A crate in a room whose walls face in.
     let mut level = cube([0.0; 3], [4.0; 3], false);
     level.extend(cube([1.5; 3], [2.5; 3], true));
@@ -76,13 +111,18 @@ fn cavities_are_inside_and_rooms_and_open_boxes_hold_nothing() {
     assert!(inside(&level, [2.0; 3]) && !inside(&level, [1.0; 3]) && !inside(&level, [4.2; 3]));
     let room = cube([0.0; 3], [4.0; 3], false);
     assert!(!inside(&tets(&room), [2.0; 3]));
-    assert!(!inside(&tets(&cube([0.0; 3], [4.0; 3], true)[1..]), [2.0; 3]));
+    assert!(!inside(
+        &tets(&cube([0.0; 3], [4.0; 3], true)[1..]),
+        [2.0; 3]
+    ));
     // A box with a window is open, and a pane on a box does not open it.
     let closed = cube([0.0; 3], [4.0; 3], true);
     assert!(!inside(&tets_with(&closed, &[3]), [2.0; 3]));
     let mut with_pane = closed.clone();
     with_pane.push([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, -1.0, 2.0]]);
-    assert!(!inside(&tets(&with_pane), [2.0; 3]) && inside(&tets_with(&with_pane, &[12]), [2.0; 3]));
+    assert!(
+        !inside(&tets(&with_pane), [2.0; 3]) && inside(&tets_with(&with_pane, &[12]), [2.0; 3])
+    );
     // Two solids that overlap, and two that touch: a point is inside of their union or not.
     let mut two = cube([0.0; 3], [1.0; 3], true);
     two.extend(cube([0.25, 0.25, 0.25], [2.0; 3], true));

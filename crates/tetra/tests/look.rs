@@ -13,21 +13,40 @@ use sightline_tetra::look::{Engine, Hierarchy, Looker, Mode, Scratch, Seen, Targ
 use sightline_tetra::surfaces::Surfaces;
 
 fn scene(triangles: &[[[f32; 3]; 3]]) -> Scene {
-    let triangles: Vec<Triangle> =
-        triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+    let triangles: Vec<Triangle> = triangles
+        .iter()
+        .map(|t| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .collect();
     let count = triangles.len() as u32;
-    Scene::new("test", triangles, vec![Object { name: "all".into(), first: 0, count }]).unwrap()
+    Scene::new(
+        "test",
+        triangles,
+        vec![Object {
+            name: "all".into(),
+            first: 0,
+            count,
+        }],
+    )
+    .unwrap()
 }
 
 fn look_as(triangles: &[[[f32; 3]; 3]], x: [f64; 3], view: &View, mode: Mode) -> Seen {
     let surfaces = Surfaces::new(&scene(triangles)).unwrap();
     let hierarchy = Hierarchy::new(surfaces.view());
     let mut scratch = Scratch::default();
-    Looker::new(surfaces.view(), hierarchy.view()).look(x, view, mode, &mut scratch).unwrap().clone()
+    Looker::new(surfaces.view(), hierarchy.view())
+        .look(x, view, mode, &mut scratch)
+        .unwrap()
+        .clone()
 }
 
 fn look(triangles: &[[[f32; 3]; 3]], x: [f64; 3]) -> Seen {
-    let view = View { witnesses: true, ..View::default() };
+    let view = View {
+        witnesses: true,
+        ..View::default()
+    };
     look_as(triangles, x, &view, Mode::Exact)
 }
 
@@ -38,7 +57,8 @@ fn quad(a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]) -> [[[f32; 3]; 3]; 2
 
 /// The twelve triangles of a box.
 fn cube(low: [f32; 3], high: [f32; 3]) -> Vec<[[f32; 3]; 3]> {
-    let p = |x: usize, y: usize, z: usize| [[low, high][x][0], [low, high][y][1], [low, high][z][2]];
+    let p =
+        |x: usize, y: usize, z: usize| [[low, high][x][0], [low, high][y][1], [low, high][z][2]];
     let mut all = Vec::new();
     all.extend(quad(p(0, 0, 0), p(0, 1, 0), p(1, 1, 0), p(1, 0, 0)));
     all.extend(quad(p(0, 0, 1), p(1, 0, 1), p(1, 1, 1), p(0, 1, 1)));
@@ -73,7 +93,11 @@ fn a_closed_box_is_seen_whole_from_inside() {
     let seen = look(&room, [5.0, 1.0, 1.5]);
     assert_eq!(seen.visible, [10, 11]);
     let side = rectangle(-1.0, -1.5, 1.0, 1.5, 4.0);
-    assert!((seen.areas.iter().sum::<f64>() - side).abs() < 1e-13, "{:?} {side}", seen.areas);
+    assert!(
+        (seen.areas.iter().sum::<f64>() - side).abs() < 1e-13,
+        "{:?} {side}",
+        seen.areas
+    );
 }
 
 #[test]
@@ -82,9 +106,24 @@ fn a_slit_shows_what_is_behind_it() {
         // A wall of two parts with a slit between them, and a wall behind it.
         let (a, b) = (-width / 2.0, width / 2.0);
         let mut all = Vec::new();
-        all.extend(quad([-9.0, -9.0, 1.0], [a, -9.0, 1.0], [a, 9.0, 1.0], [-9.0, 9.0, 1.0]));
-        all.extend(quad([b, -9.0, 1.0], [9.0, -9.0, 1.0], [9.0, 9.0, 1.0], [b, 9.0, 1.0]));
-        all.extend(quad([-9.0, -9.0, 2.0], [9.0, -9.0, 2.0], [9.0, 9.0, 2.0], [-9.0, 9.0, 2.0]));
+        all.extend(quad(
+            [-9.0, -9.0, 1.0],
+            [a, -9.0, 1.0],
+            [a, 9.0, 1.0],
+            [-9.0, 9.0, 1.0],
+        ));
+        all.extend(quad(
+            [b, -9.0, 1.0],
+            [9.0, -9.0, 1.0],
+            [9.0, 9.0, 1.0],
+            [b, 9.0, 1.0],
+        ));
+        all.extend(quad(
+            [-9.0, -9.0, 2.0],
+            [9.0, -9.0, 2.0],
+            [9.0, 9.0, 2.0],
+            [-9.0, 9.0, 2.0],
+        ));
         let seen = look(&all, [0.0; 3]);
         assert_eq!(seen.visible, [0, 1, 2, 3, 4, 5], "{width}");
         let slit = f64::from(width) / 2.0;
@@ -98,8 +137,16 @@ fn a_slit_shows_what_is_behind_it() {
 
 /// A wall in the plane z with a window from (a, b) to (c, d), in four rectangles of two triangles.
 fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
-    let part = |x0: f32, y0: f32, x1: f32, y1: f32| quad([x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z]);
-    [part(-9.0, -9.0, a, 9.0), part(c, -9.0, 9.0, 9.0), part(a, -9.0, c, b), part(a, d, c, 9.0)].concat()
+    let part = |x0: f32, y0: f32, x1: f32, y1: f32| {
+        quad([x0, y0, z], [x1, y0, z], [x1, y1, z], [x0, y1, z])
+    };
+    [
+        part(-9.0, -9.0, a, 9.0),
+        part(c, -9.0, 9.0, 9.0),
+        part(a, -9.0, c, b),
+        part(a, d, c, 9.0),
+    ]
+    .concat()
 }
 
 /// Three walls whose windows are beside one another, so that a line through all of them exists for some: what
@@ -107,25 +154,54 @@ fn wall(z: f32, [a, b, c, d]: [f32; 4]) -> Vec<[[f32; 3]; 3]> {
 #[test]
 fn staggered_walls_show_what_their_windows_have_in_common() {
     // From the origin: windows of the planes 1, 2 and 3, as directions at z = 1.
-    let windows = [[-0.5f32, -0.5, 0.25, 0.25], [0.0, -1.0, 1.0, 0.0], [-1.5, -0.75, 0.375, 1.5]];
-    let mut all: Vec<_> = (1u8..).zip(windows).flat_map(|(z, w)| wall(f32::from(z), w)).collect();
-    all.extend(quad([-50.0, -50.0, 9.0], [50.0, -50.0, 9.0], [50.0, 50.0, 9.0], [-50.0, 50.0, 9.0]));
+    let windows = [
+        [-0.5f32, -0.5, 0.25, 0.25],
+        [0.0, -1.0, 1.0, 0.0],
+        [-1.5, -0.75, 0.375, 1.5],
+    ];
+    let mut all: Vec<_> = (1u8..)
+        .zip(windows)
+        .flat_map(|(z, w)| wall(f32::from(z), w))
+        .collect();
+    all.extend(quad(
+        [-50.0, -50.0, 9.0],
+        [50.0, -50.0, 9.0],
+        [50.0, 50.0, 9.0],
+        [-50.0, 50.0, 9.0],
+    ));
     // x from 0 to 0.125: the second window begins there and the third ends. y from −0.25 to 0: those of the
     // third and of the second.
     let truth = rectangle(0.0, -0.25, 0.125, 0.0, 1.0);
-    for (scale, shift) in
-        [(1.0f32, 0.0f32), (3.0, 0.0), (0.01, 0.0), (100.0, 0.0), (1.0, 64.0), (8.0, -1024.0)]
-    {
+    for (scale, shift) in [
+        (1.0f32, 0.0f32),
+        (3.0, 0.0),
+        (0.01, 0.0),
+        (100.0, 0.0),
+        (1.0, 64.0),
+        (8.0, -1024.0),
+    ] {
         for turn in 0..3 {
             let moved = |p: [f32; 3]| std::array::from_fn(|k| p[(k + turn) % 3] * scale + shift);
             let there: Vec<_> = all.iter().map(|t| t.map(moved)).collect();
             let seen = look(&there, moved([0.0; 3]).map(f64::from));
             let last = all.len() - 2;
-            let area: f64 =
-                seen.visible.iter().zip(&seen.areas).filter(|v| *v.0 as usize >= last).map(|v| v.1).sum();
+            let area: f64 = seen
+                .visible
+                .iter()
+                .zip(&seen.areas)
+                .filter(|v| *v.0 as usize >= last)
+                .map(|v| v.1)
+                .sum();
             // 3 and 0.01 times a coordinate are rounded.
-            let bound = if scale == 3.0 || scale == 0.01 || scale == 100.0 { 1e-7 } else { 1e-13 };
-            assert!((area - truth).abs() < bound, "{scale} {shift} {turn}: {area} {truth}");
+            let bound = if scale == 3.0 || scale == 0.01 || scale == 100.0 {
+                1e-7
+            } else {
+                1e-13
+            };
+            assert!(
+                (area - truth).abs() < bound,
+                "{scale} {shift} {turn}: {area} {truth}"
+            );
             assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
         }
     }
@@ -141,7 +217,10 @@ fn closed_seams_show_nothing() {
     // binary.
     let mut all = Vec::new();
     let cut = |k: u32, n: u32| -3.0 + 6.0 * (k as f32) / (n as f32);
-    for (row, (z0, z1)) in [(-3.0f32, -0.7f32), (-0.7, 1.1), (1.1, 3.0)].into_iter().enumerate() {
+    for (row, (z0, z1)) in [(-3.0f32, -0.7f32), (-0.7, 1.1), (1.1, 3.0)]
+        .into_iter()
+        .enumerate()
+    {
         let n = 3 + row as u32 * 2;
         for k in 0..n {
             let (p, q) = (cut(k, n), cut(k + 1, n));
@@ -149,7 +228,12 @@ fn closed_seams_show_nothing() {
         }
     }
     let walls = all.len() as u32;
-    all.extend(quad([-0.5, 1.9, -0.5], [0.5, 1.9, -0.5], [0.5, 1.9, 0.5], [-0.5, 1.9, 0.5]));
+    all.extend(quad(
+        [-0.5, 1.9, -0.5],
+        [0.5, 1.9, -0.5],
+        [0.5, 1.9, 0.5],
+        [-0.5, 1.9, 0.5],
+    ));
     let seen = look(&all, [0.1, 0.2, 0.3]);
     assert_eq!(seen.visible, (0..walls).collect::<Vec<u32>>());
 }
@@ -174,7 +258,10 @@ fn doubled_triangles_leave_nothing_undecided_in_the_conservative_mode() {
     // All of each octant is covered by walls with two sides.
     let mut room = cube([0.0; 3], [1.0, 2.0, 3.0]);
     room.extend(room.clone().iter().map(|t| [t[0], t[2], t[1]]));
-    let view = View { witnesses: true, ..View::default() };
+    let view = View {
+        witnesses: true,
+        ..View::default()
+    };
     let seen = look_as(&room, [0.4, 0.9, 1.3], &view, Mode::Conservative(PI));
     assert_eq!(seen.visible, (0..24).collect::<Vec<u32>>());
     assert_eq!(seen.dropped, 0.0);
@@ -189,7 +276,12 @@ fn a_point_at_the_least_distance_from_a_corner_sees_what_one_nearby_sees() {
     for x in [5e-324, 1e-320, 1e-300, 1e-200] {
         let seen = look(&[t], [x; 3]);
         assert_eq!(seen.visible, near.visible, "{x}");
-        assert!((seen.areas[0] - near.areas[0]).abs() < 1e-12, "{x}: {:?} {:?}", seen.areas, near.areas);
+        assert!(
+            (seen.areas[0] - near.areas[0]).abs() < 1e-12,
+            "{x}: {:?} {:?}",
+            seen.areas,
+            near.areas
+        );
     }
 }
 
@@ -209,14 +301,27 @@ fn a_scene_far_away_is_not_gone_through_for_every_beam() {
         seen.cells as f64 / seen.beams as f64
     };
     let (near, far) = (boxes_a_beam(5.0), boxes_a_beam(3e5));
-    assert!(far < 4.0 * near, "{near} boxes a beam nearby, {far} far away");
+    assert!(
+        far < 4.0 * near,
+        "{near} boxes a beam nearby, {far} far away"
+    );
 }
 
 #[test]
 fn crossing_rectangles_hide_half_of_each_other() {
     let mut all = Vec::new();
-    all.extend(quad([-1.0, -1.0, 2.0], [1.0, -1.0, 4.0], [1.0, 1.0, 4.0], [-1.0, 1.0, 2.0]));
-    all.extend(quad([-1.0, -1.0, 4.0], [1.0, -1.0, 2.0], [1.0, 1.0, 2.0], [-1.0, 1.0, 4.0]));
+    all.extend(quad(
+        [-1.0, -1.0, 2.0],
+        [1.0, -1.0, 4.0],
+        [1.0, 1.0, 4.0],
+        [-1.0, 1.0, 2.0],
+    ));
+    all.extend(quad(
+        [-1.0, -1.0, 4.0],
+        [1.0, -1.0, 2.0],
+        [1.0, 1.0, 2.0],
+        [-1.0, 1.0, 4.0],
+    ));
     let seen = look(&all, [0.0; 3]);
     assert_eq!(seen.visible, [0, 1, 2, 3]);
     let halves = [seen.areas[0] + seen.areas[1], seen.areas[2] + seen.areas[3]];
@@ -245,31 +350,71 @@ fn cones_and_distances_limit_the_view() {
     let room = cube([-1.0; 3], [1.0; 3]);
     let cap = |half: f64| 2.0 * PI * (1.0 - half.cos());
     for degrees in [1.0f64, 40.0, 90.0, 150.0, 179.0, 200.0, 300.0, 360.0] {
-        let view = View { direction: Some([0.3, -0.2, 0.9]), angle: degrees.to_radians(), ..View::default() };
+        let view = View {
+            direction: Some([0.3, -0.2, 0.9]),
+            angle: degrees.to_radians(),
+            ..View::default()
+        };
         let seen = look_as(&room, [0.1, 0.2, -0.1], &view, Mode::Exact);
         let truth = cap(degrees.to_radians() / 2.0);
-        assert!((total(&seen) - truth).abs() < 1e-9, "{degrees}: {} {truth}", total(&seen));
+        assert!(
+            (total(&seen) - truth).abs() < 1e-9,
+            "{degrees}: {} {truth}",
+            total(&seen)
+        );
     }
     // A wall at distance 1: within 2, a disk of 60 degrees around its normal.
-    let wall = quad([-90.0, -90.0, 1.0], [90.0, -90.0, 1.0], [90.0, 90.0, 1.0], [-90.0, 90.0, 1.0]);
-    let view = View { distance: Some(2.0), ..View::default() };
+    let wall = quad(
+        [-90.0, -90.0, 1.0],
+        [90.0, -90.0, 1.0],
+        [90.0, 90.0, 1.0],
+        [-90.0, 90.0, 1.0],
+    );
+    let view = View {
+        distance: Some(2.0),
+        ..View::default()
+    };
     let seen = look_as(&wall, [0.0; 3], &view, Mode::Exact);
-    assert!((seen.areas.iter().sum::<f64>() - cap(PI / 3.0)).abs() < 1e-12, "{:?}", seen.areas);
+    assert!(
+        (seen.areas.iter().sum::<f64>() - cap(PI / 3.0)).abs() < 1e-12,
+        "{:?}",
+        seen.areas
+    );
     assert!((total(&seen) - 4.0 * PI).abs() < 1e-12);
-    let view = View { distance: Some(0.99), ..View::default() };
-    assert!(look_as(&wall, [0.0; 3], &view, Mode::Exact).visible.is_empty());
+    let view = View {
+        distance: Some(0.99),
+        ..View::default()
+    };
+    assert!(
+        look_as(&wall, [0.0; 3], &view, Mode::Exact)
+            .visible
+            .is_empty()
+    );
 }
 
 #[test]
 fn shares_of_boxes() {
     // A wall hides the lower half of a box's front.
-    let wall = quad([-9.0, -9.0, 1.0], [9.0, -9.0, 1.0], [9.0, 0.0, 1.0], [-9.0, 0.0, 1.0]);
+    let wall = quad(
+        [-9.0, -9.0, 1.0],
+        [9.0, -9.0, 1.0],
+        [9.0, 0.0, 1.0],
+        [-9.0, 0.0, 1.0],
+    );
     let surfaces = Surfaces::new(&scene(&wall)).unwrap();
     let hierarchy = Hierarchy::new(surfaces.view());
     let looker = Looker::new(surfaces.view(), hierarchy.view());
     let mut scratch = Scratch::default();
     let mut share = |low, high| {
-        looker.sees([0.0; 3], &Target { low, high }, &View::default(), Mode::Exact, &mut scratch).unwrap()
+        looker
+            .sees(
+                [0.0; 3],
+                &Target { low, high },
+                &View::default(),
+                Mode::Exact,
+                &mut scratch,
+            )
+            .unwrap()
     };
     assert!((share([-1.0, -1.0, 2.0], [1.0, 1.0, 3.0]) - 0.5).abs() < 1e-12);
     assert_eq!(share([-1.0, -3.0, 2.0], [1.0, -1.0, 3.0]), 0.0);
@@ -287,12 +432,26 @@ fn shares_of_boxes() {
 #[test]
 #[ignore = "a measurement"]
 fn times() {
-    let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap())).unwrap();
+    let scene = sightline_scene::load(std::path::Path::new(&std::env::var("TETRA_SCENE").unwrap()))
+        .unwrap();
     let surfaces = Surfaces::new(&scene).unwrap();
     let hierarchy = Hierarchy::new(surfaces.view());
     let start = std::time::Instant::now();
-    let Delaunay { points, tetrahedra, neighbours } = &Delaunay::new(&surfaces.points).unwrap();
-    let (cells, counts) = cells(&surfaces, &Tetrahedra { points, tetrahedra, neighbours }, &Quiet).unwrap();
+    let Delaunay {
+        points,
+        tetrahedra,
+        neighbours,
+    } = &Delaunay::new(&surfaces.points).unwrap();
+    let (cells, counts) = cells(
+        &surfaces,
+        &Tetrahedra {
+            points,
+            tetrahedra,
+            neighbours,
+        },
+        &Quiet,
+    )
+    .unwrap();
     println!(
         "{} triangles, {} tetrahedra, {} cells, {:?}, {:.1} s",
         surfaces.triangles.len(),
@@ -313,9 +472,14 @@ fn times() {
         );
         let x = low + (high - low) * part;
         for engine in [Engine::Boxes, Engine::Cells] {
-            let view = View { engine, ..View::default() };
+            let view = View {
+                engine,
+                ..View::default()
+            };
             let start = std::time::Instant::now();
-            let seen = looker.look(x.to_array(), &view, Mode::Exact, &mut scratch).unwrap();
+            let seen = looker
+                .look(x.to_array(), &view, Mode::Exact, &mut scratch)
+                .unwrap();
             let time = start.elapsed().as_secs_f64();
             println!(
                 "{engine:?} {:6} seen {:9} beams {:10} boxes {:10} signs {:7} {:8.1} ms {:6.1} us {:.1e}",

@@ -18,22 +18,49 @@ use meshes::{few_points, sheets};
 
 type T = [[f32; 3]; 3];
 
-const KINDS: [Kind; 5] = [Kind::Opaque, Kind::Opaque, Kind::SeeThrough, Kind::OccluderOnly, Kind::Moving];
+const KINDS: [Kind; 5] = [
+    Kind::Opaque,
+    Kind::Opaque,
+    Kind::SeeThrough,
+    Kind::OccluderOnly,
+    Kind::Moving,
+];
 
 fn tets(triangles: &[(T, Kind)]) -> Tets {
     let count = triangles.len() as u32;
-    let object = Object { name: "all".into(), first: 0, count };
-    let kinds = Kinds::from_runs(triangles.iter().map(|(_, kind)| (1, *kind, "a test")), Vec::new());
-    let all = triangles.iter().map(|(t, _)| Triangle { v: t.map(Vec3::from_array) }).collect();
-    let scene = Scene::new("test", all, vec![object]).unwrap().with_kinds("test", kinds).unwrap();
+    let object = Object {
+        name: "all".into(),
+        first: 0,
+        count,
+    };
+    let kinds = Kinds::from_runs(
+        triangles.iter().map(|(_, kind)| (1, *kind, "a test")),
+        Vec::new(),
+    );
+    let all = triangles
+        .iter()
+        .map(|(t, _)| Triangle {
+            v: t.map(Vec3::from_array),
+        })
+        .collect();
+    let scene = Scene::new("test", all, vec![object])
+        .unwrap()
+        .with_kinds("test", kinds)
+        .unwrap();
     let mut file = Vec::new();
     write(&mut file, &build(&scene, &Quiet).unwrap().contents()).unwrap();
     Tets::from_bytes(&file).unwrap()
 }
 
 fn look(tets: &Tets, x: [f64; 3], view: &View, engine: Engine) -> Seen {
-    let view = View { engine, witnesses: true, ..view.clone() };
-    tets.look(x, &view, Mode::Exact, &mut Scratch::default()).unwrap().clone()
+    let view = View {
+        engine,
+        witnesses: true,
+        ..view.clone()
+    };
+    tets.look(x, &view, Mode::Exact, &mut Scratch::default())
+        .unwrap()
+        .clone()
 }
 
 /// The triangles that a ray shows: those that it passes, and the first that blocks, several where they are in
@@ -56,7 +83,11 @@ fn shown(triangles: &[(T, Kind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
         }
     }
     let blocks = |id: u32| triangles[id as usize].1 != Kind::SeeThrough;
-    let end = hits.iter().filter(|h| blocks(h.1)).map(|h| h.0).fold(f64::INFINITY, f64::min);
+    let end = hits
+        .iter()
+        .filter(|h| blocks(h.1))
+        .map(|h| h.0)
+        .fold(f64::INFINITY, f64::min);
     let ends_there = |h: &(f64, u32)| h.0 <= end * (1.0 + 1e-12);
     // See-through triangles in the plane of the end are shown or not: no ray tells.
     let near = |h: &(f64, u32)| !blocks(h.1) && (h.0 / end - 1.0).abs() < 1e-9;
@@ -64,7 +95,12 @@ fn shown(triangles: &[(T, Kind)], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
         return None;
     }
     let shows = |id: u32| triangles[id as usize].1 != Kind::OccluderOnly;
-    Some(hits.iter().filter(|h| ends_there(h) && shows(h.1)).map(|h| h.1).collect())
+    Some(
+        hits.iter()
+            .filter(|h| ends_there(h) && shows(h.1))
+            .map(|h| h.1)
+            .collect(),
+    )
 }
 
 fn way(k: u32, n: u32) -> DVec3 {
@@ -81,7 +117,12 @@ fn total(seen: &Seen) -> f64 {
 
 fn alike(a: &Seen, b: &Seen) -> Result<(), TestCaseError> {
     prop_assert_eq!(&a.visible, &b.visible);
-    for (x, y) in a.areas.iter().chain([&a.sky, &a.unseen]).zip(b.areas.iter().chain([&b.sky, &b.unseen])) {
+    for (x, y) in a
+        .areas
+        .iter()
+        .chain([&a.sky, &a.unseen])
+        .zip(b.areas.iter().chain([&b.sky, &b.unseen]))
+    {
         prop_assert!((x - y).abs() < 1e-9, "{} and {}", x, y);
     }
     Ok(())
@@ -96,7 +137,8 @@ fn check(
     rays: bool,
 ) -> Result<(), TestCaseError> {
     let tets = tets(triangles);
-    let both = |view: &View| [Engine::Boxes, Engine::Cells].map(|engine| look(&tets, x, view, engine));
+    let both =
+        |view: &View| [Engine::Boxes, Engine::Cells].map(|engine| look(&tets, x, view, engine));
     let [all, by_cells] = both(&View::default());
     alike(&all, &by_cells)?;
     prop_assert!((total(&all) - 4.0 * PI).abs() < 1e-9, "{}", total(&all));
@@ -108,21 +150,43 @@ fn check(
     }
     for ((id, area), witness) in all.visible.iter().zip(&all.areas).zip(&all.witnesses) {
         prop_assert!(triangles[*id as usize].1 == Kind::Opaque || *area == 0.0);
-        if let Some(shown) =
-            witness.filter(|_| rays).and_then(|w| shown(triangles, at, DVec3::from(w).normalize()))
+        if let Some(shown) = witness
+            .filter(|_| rays)
+            .and_then(|w| shown(triangles, at, DVec3::from(w).normalize()))
         {
-            prop_assert!(shown.contains(id), "the witness of {} shows {:?}", id, shown);
+            prop_assert!(
+                shown.contains(id),
+                "the witness of {} shows {:?}",
+                id,
+                shown
+            );
         }
     }
     // The limits are rounded: what is in the view by less than that may be in one set and not in the other.
     let limited = [
-        View { direction: Some(direction), angle, ..View::default() },
-        View { distance: Some(distance), ..View::default() },
-        View { direction: Some(direction), angle, distance: Some(distance), ..View::default() },
+        View {
+            direction: Some(direction),
+            angle,
+            ..View::default()
+        },
+        View {
+            distance: Some(distance),
+            ..View::default()
+        },
+        View {
+            direction: Some(direction),
+            angle,
+            distance: Some(distance),
+            ..View::default()
+        },
     ];
     for view in &limited {
         let [boxes, cells] = both(view);
-        let cap = if view.direction.is_some() { 2.0 * PI * (1.0 - (angle / 2.0).cos()) } else { 4.0 * PI };
+        let cap = if view.direction.is_some() {
+            2.0 * PI * (1.0 - (angle / 2.0).cos())
+        } else {
+            4.0 * PI
+        };
         prop_assert!(
             (total(&boxes) - cap).abs() < 1e-9 && (total(&cells) - cap).abs() < 1e-9,
             "{} and {} of {}",
@@ -140,21 +204,35 @@ fn check(
         );
         for (one, other) in [(&boxes, &cells), (&cells, &boxes)] {
             for ((id, area), witness) in one.visible.iter().zip(&one.areas).zip(&one.witnesses) {
-                prop_assert!(all.visible.contains(id), "{} is seen in a part of the view alone", id);
+                prop_assert!(
+                    all.visible.contains(id),
+                    "{} is seen in a part of the view alone",
+                    id
+                );
                 prop_assert!(*area < 1e-9 || other.visible.contains(id));
                 let Some(witness) = witness else { continue };
                 let witness = DVec3::from(*witness).normalize();
                 if view.direction.is_some() {
                     let along = witness.dot(DVec3::from(direction).normalize());
-                    prop_assert!(along > (angle / 2.0).cos() - 1e-9, "a witness out of the cone");
+                    prop_assert!(
+                        along > (angle / 2.0).cos() - 1e-9,
+                        "a witness out of the cone"
+                    );
                 }
             }
         }
     }
-    let target = Target { low: [-1.0, -2.0, 0.5], high: [1.5, -0.5, 2.0] };
+    let target = Target {
+        low: [-1.0, -2.0, 0.5],
+        high: [1.5, -0.5, 2.0],
+    };
     let share = |engine, mode| {
-        let view = View { engine, ..View::default() };
-        tets.sees_in(x, &target, &view, mode, &mut Scratch::default()).unwrap()
+        let view = View {
+            engine,
+            ..View::default()
+        };
+        tets.sees_in(x, &target, &view, mode, &mut Scratch::default())
+            .unwrap()
     };
     let exact = share(Engine::Boxes, Mode::Exact);
     prop_assert!((exact - share(Engine::Cells, Mode::Exact)).abs() < 1e-9);
@@ -170,8 +248,9 @@ fn kind() -> impl Strategy<Value = Kind> {
 }
 
 fn limits() -> impl Strategy<Value = ([f64; 3], f64, f64)> {
-    let direction = prop::array::uniform3(-1.0..1.0f64)
-        .prop_filter("of some length", |d| d.iter().map(|c| c * c).sum::<f64>() > 0.01);
+    let direction = prop::array::uniform3(-1.0..1.0f64).prop_filter("of some length", |d| {
+        d.iter().map(|c| c * c).sum::<f64>() > 0.01
+    });
     (direction, 0.1..6.2f64, 0.3..8.0f64)
 }
 
@@ -237,36 +316,69 @@ fn the_engine_with_less_to_do_answers() {
     let page = |k: u32| {
         let angle = f64::from(k) * PI / 60.0;
         let (x, y) = (libm::cos(angle) as f32, libm::sin(angle) as f32);
-        ([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [x, y, 0.0]], Kind::Opaque)
+        (
+            [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [x, y, 0.0]],
+            Kind::Opaque,
+        )
     };
     let book: Vec<(T, Kind)> = (0..60).map(page).collect();
     let tets = tets(&book);
     let mut scratch = Scratch::default();
     let x = [0.3, 3.0, 0.1];
-    for (mode, engine) in [(Mode::Exact, Engine::Boxes), (Mode::Conservative(0.01), Engine::Cells)] {
-        assert_eq!(tets.faster(x, &View::default(), mode, &mut scratch).unwrap(), engine, "{mode:?}");
+    for (mode, engine) in [
+        (Mode::Exact, Engine::Boxes),
+        (Mode::Conservative(0.01), Engine::Cells),
+    ] {
+        assert_eq!(
+            tets.faster(x, &View::default(), mode, &mut scratch)
+                .unwrap(),
+            engine,
+            "{mode:?}"
+        );
     }
     // Among large triangles that cross little is seen, and all boxes overlap.
     let mut random = SplitMix64::new(1);
     let mut place = |size: f32| [0.0f32; 3].map(|_| size * (random.unit_f32() - 0.5));
-    let crossing: Vec<(T, Kind)> = (0..100).map(|_| ([0; 3].map(|_| place(9.0)), Kind::Opaque)).collect();
+    let crossing: Vec<(T, Kind)> = (0..100)
+        .map(|_| ([0; 3].map(|_| place(9.0)), Kind::Opaque))
+        .collect();
     let found = self::tets(&crossing).faster([0.1; 3], &View::default(), Mode::Exact, &mut scratch);
     assert_eq!(found, Ok(Engine::Cells));
     // What is given up leaves nothing behind, whatever is asked next.
     let given_up = || {
         let mut scratch = Scratch::default();
-        assert_eq!(tets.faster(x, &View::default(), Mode::Exact, &mut scratch), Ok(Engine::Boxes));
+        assert_eq!(
+            tets.faster(x, &View::default(), Mode::Exact, &mut scratch),
+            Ok(Engine::Boxes)
+        );
         assert!(scratch.seen.visible.is_empty() && scratch.seen.areas.is_empty());
         scratch
     };
-    let target = Target { low: [-0.5, 0.1, -0.1], high: [0.5, 0.2, 0.1] };
+    let target = Target {
+        low: [-0.5, 0.1, -0.1],
+        high: [0.5, 0.2, 0.1],
+    };
     let answers = |new: &dyn Fn() -> Scratch, engine| {
-        let view = View { witnesses: true, engine, ..View::default() };
-        let seen = tets.look(x, &view, Mode::Exact, &mut new()).unwrap().clone();
-        (seen, tets.sees_in(x, &target, &view, Mode::Exact, &mut new()).unwrap())
+        let view = View {
+            witnesses: true,
+            engine,
+            ..View::default()
+        };
+        let seen = tets
+            .look(x, &view, Mode::Exact, &mut new())
+            .unwrap()
+            .clone();
+        (
+            seen,
+            tets.sees_in(x, &target, &view, Mode::Exact, &mut new())
+                .unwrap(),
+        )
     };
     for engine in [Engine::Boxes, Engine::Cells] {
-        assert_eq!(answers(&given_up, engine), answers(&Scratch::default, engine));
+        assert_eq!(
+            answers(&given_up, engine),
+            answers(&Scratch::default, engine)
+        );
     }
 }
 
@@ -274,15 +386,26 @@ fn the_engine_with_less_to_do_answers() {
 fn a_wide_cone_and_a_distance_that_have_nothing_in_common_show_nothing() {
     // The cone leaves what is more than 1 away from the axis in the triangle's plane, the distance what is
     // nearer to it.
-    let wall = tets(&[([[-10.0, -10.0, 1.0], [10.0, -10.0, 1.0], [0.0, 15.0, 1.0]], Kind::Opaque)]);
+    let wall = tets(&[(
+        [[-10.0, -10.0, 1.0], [10.0, -10.0, 1.0], [0.0, 15.0, 1.0]],
+        Kind::Opaque,
+    )]);
     for (distance, seen) in [(1.2, false), (1.4, false), (1.42, true), (3.0, true)] {
         let direction = Some([0.0, 0.0, -1.0]);
         let (angle, distance) = (270f64.to_radians(), Some(distance));
-        let view = View { direction, angle, distance, ..View::default() };
+        let view = View {
+            direction,
+            angle,
+            distance,
+            ..View::default()
+        };
         for engine in [Engine::Boxes, Engine::Cells] {
             let found = look(&wall, [0.0; 3], &view, engine);
             assert_eq!(!found.visible.is_empty(), seen, "{distance:?} {engine:?}");
-            assert!(found.areas.iter().all(|a| *a > 1e-3), "{distance:?} {engine:?}");
+            assert!(
+                found.areas.iter().all(|a| *a > 1e-3),
+                "{distance:?} {engine:?}"
+            );
         }
     }
     let mut random = SplitMix64::new(2);
@@ -290,11 +413,24 @@ fn a_wide_cone_and_a_distance_that_have_nothing_in_common_show_nothing() {
     for case in 0..3000 {
         let triangle = [0; 3].map(|_| [0; 3].map(|_| number(8.0) as f32));
         let direction = Some([0; 3].map(|_| number(1.0)));
-        let (angle, distance) = ((270.0 + number(160.0)).to_radians(), Some(2.0 + number(3.0)));
-        let view = View { direction, angle, distance, ..View::default() };
+        let (angle, distance) = (
+            (270.0 + number(160.0)).to_radians(),
+            Some(2.0 + number(3.0)),
+        );
+        let view = View {
+            direction,
+            angle,
+            distance,
+            ..View::default()
+        };
         let one = tets(&[(triangle, Kind::Opaque)]);
-        let [boxes, cells] = [Engine::Boxes, Engine::Cells].map(|engine| look(&one, [0.0; 3], &view, engine));
+        let [boxes, cells] =
+            [Engine::Boxes, Engine::Cells].map(|engine| look(&one, [0.0; 3], &view, engine));
         assert_eq!(boxes.visible, cells.visible, "{case}");
-        assert!(boxes.areas.iter().all(|a| *a > 1e-9), "{case}: {:?}", boxes.areas);
+        assert!(
+            boxes.areas.iter().all(|a| *a > 1e-9),
+            "{case}: {:?}",
+            boxes.areas
+        );
     }
 }

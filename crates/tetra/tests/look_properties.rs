@@ -22,11 +22,25 @@ struct World(Built);
 
 impl World {
     fn new(triangles: &[T]) -> Self {
-        let triangles: Vec<Triangle> =
-            triangles.iter().map(|t| Triangle { v: t.map(Vec3::from_array) }).collect();
+        let triangles: Vec<Triangle> = triangles
+            .iter()
+            .map(|t| Triangle {
+                v: t.map(Vec3::from_array),
+            })
+            .collect();
         let count = triangles.len() as u32;
-        let object = Object { name: "all".into(), first: 0, count };
-        Self(build(&Scene::new("test", triangles, vec![object]).unwrap(), &Quiet).unwrap())
+        let object = Object {
+            name: "all".into(),
+            first: 0,
+            count,
+        };
+        Self(
+            build(
+                &Scene::new("test", triangles, vec![object]).unwrap(),
+                &Quiet,
+            )
+            .unwrap(),
+        )
     }
 
     fn look(&self, x: [f64; 3], mode: Mode) -> Seen {
@@ -34,9 +48,17 @@ impl World {
     }
 
     fn look_by(&self, engine: Engine, x: [f64; 3], mode: Mode) -> Seen {
-        let view = View { witnesses: true, engine, ..View::default() };
+        let view = View {
+            witnesses: true,
+            engine,
+            ..View::default()
+        };
         let mut scratch = Scratch::default();
-        let looker = Looker::with_cells(self.0.surfaces.view(), self.0.hierarchy.view(), self.0.cells.view());
+        let looker = Looker::with_cells(
+            self.0.surfaces.view(),
+            self.0.hierarchy.view(),
+            self.0.cells.view(),
+        );
         looker.look(x, &view, mode, &mut scratch).unwrap().clone()
     }
 
@@ -50,22 +72,37 @@ impl World {
 
 /// Triangles on a coarse lattice, where edges, planes and corners coincide all the time.
 fn lattice() -> impl Strategy<Value = Vec<T>> {
-    prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-3..=3i8)), 1..24)
-        .prop_map(|all| all.into_iter().map(|t| t.map(|p| p.map(f32::from))).collect())
+    prop::collection::vec(
+        prop::array::uniform3(prop::array::uniform3(-3..=3i8)),
+        1..24,
+    )
+    .prop_map(|all| {
+        all.into_iter()
+            .map(|t| t.map(|p| p.map(f32::from)))
+            .collect()
+    })
 }
 
 /// Many small triangles, so that boxes are left out.
 fn crowd() -> impl Strategy<Value = Vec<T>> {
-    let small = (prop::array::uniform3(-6..=6i8), prop::array::uniform3(prop::array::uniform3(-1..=1i8)));
+    let small = (
+        prop::array::uniform3(-6..=6i8),
+        prop::array::uniform3(prop::array::uniform3(-1..=1i8)),
+    );
     prop::collection::vec(small, 100..400).prop_map(|all| {
         let corner = |at: [i8; 3], by: [i8; 3]| std::array::from_fn(|k| f32::from(at[k] + by[k]));
-        all.into_iter().map(|(at, t)| t.map(|by| corner(at, by))).collect()
+        all.into_iter()
+            .map(|(at, t)| t.map(|by| corner(at, by)))
+            .collect()
     })
 }
 
 /// Triangles anywhere.
 fn scattered() -> impl Strategy<Value = Vec<T>> {
-    prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)), 1..24)
+    prop::collection::vec(
+        prop::array::uniform3(prop::array::uniform3(-3.0..3.0f32)),
+        1..24,
+    )
 }
 
 /// Points on the lattice's halves and anywhere.
@@ -96,7 +133,12 @@ fn first(triangles: &[T], x: DVec3, way: DVec3) -> Option<Vec<u32>> {
         }
     }
     let nearest = hits.iter().map(|h| h.0).fold(f64::INFINITY, f64::min);
-    Some(hits.iter().filter(|h| h.0 <= nearest * (1.0 + 1e-12)).map(|h| h.1).collect())
+    Some(
+        hits.iter()
+            .filter(|h| h.0 <= nearest * (1.0 + 1e-12))
+            .map(|h| h.1)
+            .collect(),
+    )
 }
 
 fn way(k: u32, n: u32) -> DVec3 {
@@ -111,7 +153,11 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     let world = World::new(triangles);
     let exact = world.look(x, Mode::Exact);
     let sum = exact.areas.iter().sum::<f64>() + exact.sky;
-    prop_assert!((sum - 4.0 * PI).abs() < 1e-11, "the parts add up to {}", sum);
+    prop_assert!(
+        (sum - 4.0 * PI).abs() < 1e-11,
+        "the parts add up to {}",
+        sum
+    );
     let at = DVec3::from(x);
     let rays = 500;
     for k in 0..rays {
@@ -123,7 +169,12 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     }
     for ((id, area), witness) in exact.visible.iter().zip(&exact.areas).zip(&exact.witnesses) {
         let Some(witness) = witness else {
-            prop_assert!(*area < 1e-9, "{} has an area of {} and no witness", id, area);
+            prop_assert!(
+                *area < 1e-9,
+                "{} has an area of {} and no witness",
+                id,
+                area
+            );
             continue;
         };
         if let Some(hits) = first(triangles, at, DVec3::from(*witness).normalize()) {
@@ -139,8 +190,12 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
     // The order of the triangles decides the ids alone.
     let turned: Vec<T> = triangles.iter().rev().copied().collect();
     let last = triangles.len() as u32 - 1;
-    let mut other: Vec<u32> =
-        World::new(&turned).look(x, Mode::Exact).visible.iter().map(|t| last - t).collect();
+    let mut other: Vec<u32> = World::new(&turned)
+        .look(x, Mode::Exact)
+        .visible
+        .iter()
+        .map(|t| last - t)
+        .collect();
     other.sort_unstable();
     prop_assert_eq!(&exact.visible, &other);
     for degrees in [0.5f64, 5.0, 40.0] {
@@ -156,7 +211,10 @@ fn check(triangles: &[T], x: [f64; 3]) -> Result<(), TestCaseError> {
             }
         }
     }
-    let target = Target { low: [-1.0, -2.0, 0.5], high: [1.5, -0.5, 2.0] };
+    let target = Target {
+        low: [-1.0, -2.0, 0.5],
+        high: [1.5, -0.5, 2.0],
+    };
     let share = world.sees(x, &target, Mode::Exact);
     prop_assert!(world.sees(x, &target, Mode::Aggressive(0.1)) <= share + 1e-12);
     let fraction = share_of_rays(triangles, at, &target);
@@ -188,7 +246,9 @@ fn share_of_rays(triangles: &[T], x: DVec3, target: &Target) -> Option<(u32, u32
         if near > far || far <= 0.0 {
             continue;
         }
-        let Some(hits) = first(triangles, x, way) else { continue };
+        let Some(hits) = first(triangles, x, way) else {
+            continue;
+        };
         of += 1;
         let end = x + way * near;
         let before = hits.first().is_some_and(|t| {
@@ -257,8 +317,18 @@ proptest! {
 #[test]
 fn a_speck_in_a_huge_box_is_seen() {
     let far = 1e7f32;
-    let p = |k: usize| [if k & 1 == 0 { -far } else { far }, if k & 2 == 0 { -far } else { far }, far];
-    let speck = [[1.0, 1.0, 1.0], [1.0 + 1e-6, 1.0, 1.0], [1.0, 1.0 + 1e-6, 1.0f32]];
+    let p = |k: usize| {
+        [
+            if k & 1 == 0 { -far } else { far },
+            if k & 2 == 0 { -far } else { far },
+            far,
+        ]
+    };
+    let speck = [
+        [1.0, 1.0, 1.0],
+        [1.0 + 1e-6, 1.0, 1.0],
+        [1.0, 1.0 + 1e-6, 1.0f32],
+    ];
     let all = [[p(0), p(1), p(3)], [p(0), p(3), p(2)], speck];
     let seen = World::new(&all).look([0.9, 0.8, -3.0], Mode::Exact);
     assert_eq!(seen.visible, [0, 1, 2]);
@@ -269,8 +339,19 @@ fn a_speck_in_a_huge_box_is_seen() {
 /// faces, and away from them.
 #[test]
 fn hard_shapes_are_seen_alike() {
-    for x in [[0.05, 0.0, 0.02], [0.5, 0.5, 0.5], [0.0, 0.0, 1.0], [1.5, 0.25, 0.5], [-7.0, 3.0, 20.0]] {
-        for shape in [schonhardt(), saddle(), lattice_of_cubes(1.0, 0.0), lattice_of_cubes(0.1, 0.25)] {
+    for x in [
+        [0.05, 0.0, 0.02],
+        [0.5, 0.5, 0.5],
+        [0.0, 0.0, 1.0],
+        [1.5, 0.25, 0.5],
+        [-7.0, 3.0, 20.0],
+    ] {
+        for shape in [
+            schonhardt(),
+            saddle(),
+            lattice_of_cubes(1.0, 0.0),
+            lattice_of_cubes(0.1, 0.25),
+        ] {
             check(&shape, x).unwrap();
         }
     }

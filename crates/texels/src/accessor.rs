@@ -33,16 +33,27 @@ impl<'a> Elements<'a> {
     /// Accessor `number` of `file`.
     pub(crate) fn read(file: &'a File, number: usize) -> Result<Self, TexelsError> {
         let bad = |why: &str| file.broken(format!("accessor {number}"), why);
-        let accessor = file.array("accessors").get(number).ok_or_else(|| bad("there is no such accessor"))?;
-        let component = member(accessor, "componentType").and_then(|c| u32::try_from(c).ok()).unwrap_or(0);
+        let accessor = file
+            .array("accessors")
+            .get(number)
+            .ok_or_else(|| bad("there is no such accessor"))?;
+        let component = member(accessor, "componentType")
+            .and_then(|c| u32::try_from(c).ok())
+            .unwrap_or(0);
         let width = width(component).ok_or_else(|| bad("its component type is unknown"))?;
-        let shape = accessor.get("type").and_then(Value::as_str).unwrap_or_default();
-        let (components, size) = shape_size(shape, width).ok_or_else(|| bad("its type is unknown"))?;
+        let shape = accessor
+            .get("type")
+            .and_then(Value::as_str)
+            .unwrap_or_default();
+        let (components, size) =
+            shape_size(shape, width).ok_or_else(|| bad("its type is unknown"))?;
         let count = member(accessor, "count").ok_or_else(|| bad("it has no count"))?;
         let offset = member(accessor, "byteOffset").unwrap_or(0);
         let mut stride = size;
         let base = match member(accessor, "bufferView") {
-            None if count > file.size() => return Err(bad("it has more elements than the file has bytes")),
+            None if count > file.size() => {
+                return Err(bad("it has more elements than the file has bytes"));
+            }
             None => None,
             Some(v) => {
                 let bytes = file.view(v)?;
@@ -50,9 +61,9 @@ impl<'a> Elements<'a> {
                 stride = given.unwrap_or(size);
                 let end = match count.checked_sub(1) {
                     None => Some(offset),
-                    Some(last) => {
-                        last.checked_mul(stride).and_then(|l| l.checked_add(size)?.checked_add(offset))
-                    }
+                    Some(last) => last
+                        .checked_mul(stride)
+                        .and_then(|l| l.checked_add(size)?.checked_add(offset)),
                 };
                 if stride < size || end.is_none_or(|e| e > bytes.len()) {
                     return Err(bad("its elements reach beyond its buffer view"));
@@ -60,14 +71,25 @@ impl<'a> Elements<'a> {
                 Some(&bytes[offset..])
             }
         };
-        let normalized = accessor.get("normalized").and_then(Value::as_bool).unwrap_or(false);
+        let normalized = accessor
+            .get("normalized")
+            .and_then(Value::as_bool)
+            .unwrap_or(false);
         let replaced = match accessor.get("sparse") {
             None => Vec::new(),
-            Some(sparse) => {
-                replaced(file, sparse, size, count).ok_or_else(|| bad("its sparse part is damaged"))?
-            }
+            Some(sparse) => replaced(file, sparse, size, count)
+                .ok_or_else(|| bad("its sparse part is damaged"))?,
         };
-        Ok(Self { base, stride, size, components, count, component, normalized, replaced })
+        Ok(Self {
+            base,
+            stride,
+            size,
+            components,
+            count,
+            component,
+            normalized,
+            replaced,
+        })
     }
 
     /// The bytes of element `i`; empty when it is zero.
@@ -75,8 +97,13 @@ impl<'a> Elements<'a> {
         if let Ok(at) = self.replaced.binary_search_by_key(&i, |r| r.0) {
             return self.replaced[at].1;
         }
-        let range = i.checked_mul(self.stride).and_then(|at| Some(at..at.checked_add(self.size)?));
-        self.base.zip(range).and_then(|(base, range)| base.get(range)).unwrap_or_default()
+        let range = i
+            .checked_mul(self.stride)
+            .and_then(|at| Some(at..at.checked_add(self.size)?));
+        self.base
+            .zip(range)
+            .and_then(|(base, range)| base.get(range))
+            .unwrap_or_default()
     }
 
     /// Component `c` of element `i` as a number.
@@ -146,7 +173,12 @@ fn shape_size(shape: &str, width: usize) -> Option<(usize, usize)> {
 }
 
 /// The elements of a sparse part; none if it is damaged.
-fn replaced<'a>(file: &'a File, sparse: &Value, size: usize, count: usize) -> Option<Vec<(usize, &'a [u8])>> {
+fn replaced<'a>(
+    file: &'a File,
+    sparse: &Value,
+    size: usize,
+    count: usize,
+) -> Option<Vec<(usize, &'a [u8])>> {
     let part = |key: &str, size: usize| -> Option<&'a [u8]> {
         let part = sparse.get(key)?;
         let bytes = file.view(member(part, "bufferView")?).ok()?;
@@ -158,7 +190,10 @@ fn replaced<'a>(file: &'a File, sparse: &Value, size: usize, count: usize) -> Op
     let (indices, values) = (part("indices", wide)?, part("values", size)?);
     let mut all: Vec<(usize, &[u8])> = Vec::with_capacity(values.len() / size);
     for (index, value) in indices.chunks_exact(wide).zip(values.chunks_exact(size)) {
-        let index = index.iter().rev().fold(0usize, |n, b| n << 8 | usize::from(*b));
+        let index = index
+            .iter()
+            .rev()
+            .fold(0usize, |n, b| n << 8 | usize::from(*b));
         if index >= count || all.last().is_some_and(|last| last.0 >= index) {
             return None;
         }

@@ -37,26 +37,41 @@ pub(crate) fn greys(file: &mut File, all: &[f32], largest: f64) -> Result<usize,
     let number = |v: &f32| (f64::from(*v) * largest).round() as u16;
     let (component, bytes): (u32, Vec<u8>) = if largest > 255.0 {
         let grey = |v: &f32| [number(v), number(v), number(v), u16::MAX];
-        (UNSIGNED_SHORT, all.iter().flat_map(grey).flat_map(u16::to_le_bytes).collect())
+        (
+            UNSIGNED_SHORT,
+            all.iter()
+                .flat_map(grey)
+                .flat_map(u16::to_le_bytes)
+                .collect(),
+        )
     } else {
         let grey = |v: &f32| [number(v) as u8, number(v) as u8, number(v) as u8, u8::MAX];
         (5121, all.iter().flat_map(grey).collect())
     };
-    let accessor =
-        json!({ "componentType": component, "normalized": true, "count": all.len(), "type": "VEC4" });
+    let accessor = json!({
+        "componentType": component, "normalized": true, "count": all.len(), "type": "VEC4"
+    });
     add(file, &bytes, ARRAY_BUFFER, accessor)
 }
 
 /// Adds the corners of triangles over `vertices` vertices.
-pub(crate) fn indices(file: &mut File, corners: &[[u32; 3]], vertices: usize) -> Result<usize, TexelsError> {
+pub(crate) fn indices(
+    file: &mut File,
+    corners: &[[u32; 3]],
+    vertices: usize,
+) -> Result<usize, TexelsError> {
     let all = corners.iter().flatten();
     // The largest number of a type would restart a primitive.
     let (component, bytes): (u32, Vec<u8>) = if vertices <= usize::from(u16::MAX) {
-        (UNSIGNED_SHORT, all.flat_map(|i| (*i as u16).to_le_bytes()).collect())
+        (
+            UNSIGNED_SHORT,
+            all.flat_map(|i| (*i as u16).to_le_bytes()).collect(),
+        )
     } else {
         (UNSIGNED_INT, all.flat_map(|i| i.to_le_bytes()).collect())
     };
-    let accessor = json!({ "componentType": component, "count": corners.len() * 3, "type": "SCALAR" });
+    let accessor =
+        json!({ "componentType": component, "count": corners.len() * 3, "type": "SCALAR" });
     add(file, &bytes, ELEMENT_ARRAY_BUFFER, accessor)
 }
 
@@ -64,9 +79,10 @@ pub(crate) fn indices(file: &mut File, corners: &[[u32; 3]], vertices: usize) ->
 pub(crate) fn gathered(file: &mut File, accessor: usize, of: &[u32]) -> Result<usize, TexelsError> {
     let elements = crate::accessor::Elements::read(file, accessor)?;
     if of.iter().any(|i| *i as usize >= elements.count) {
-        return Err(
-            file.broken(format!("accessor {accessor}"), "it has fewer elements than there are vertices")
-        );
+        return Err(file.broken(
+            format!("accessor {accessor}"),
+            "it has fewer elements than there are vertices",
+        ));
     }
     // Elements of vertices start at multiples of four bytes.
     let stride = elements.size.next_multiple_of(4);
@@ -82,7 +98,11 @@ pub(crate) fn gathered(file: &mut File, accessor: usize, of: &[u32]) -> Result<u
             .map(|c| {
                 let all = of.iter().map(|i| elements.raw(*i as usize, c));
                 let bound = all.reduce(pick).unwrap_or(0.0);
-                if elements.component == FLOAT { json!(bound) } else { json!(bound as i64) }
+                if elements.component == FLOAT {
+                    json!(bound)
+                } else {
+                    json!(bound as i64)
+                }
             })
             .collect()
     };

@@ -25,7 +25,10 @@ pub(crate) fn separate(file: &mut File, parts: &Parts) -> Result<Vec<usize>, Tex
         }
     }
     for (node, drawn) in file.array("nodes").iter().zip(&drawn) {
-        if let Some(taken) = member(node, "mesh").filter(|_| !drawn).and_then(|m| taken.get_mut(m)) {
+        if let Some(taken) = member(node, "mesh")
+            .filter(|_| !drawn)
+            .and_then(|m| taken.get_mut(m))
+        {
             *taken = true;
         }
     }
@@ -37,7 +40,11 @@ pub(crate) fn separate(file: &mut File, parts: &Parts) -> Result<Vec<usize>, Tex
             match taken.get_mut(mesh) {
                 Some(taken) if !*taken => *taken = true,
                 _ => {
-                    let copy = file.array("meshes").get(mesh).cloned().unwrap_or(Value::Null);
+                    let copy = file
+                        .array("meshes")
+                        .get(mesh)
+                        .cloned()
+                        .unwrap_or(Value::Null);
                     mesh = file.push("meshes", copy)?;
                 }
             }

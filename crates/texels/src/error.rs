@@ -24,7 +24,9 @@ pub enum TexelsError {
     #[error(transparent)]
     Beside(#[from] sightline_scene::SceneError),
     /// The geometry is compressed.
-    #[error("{file}: {element}: it has {extension}, a compression that cannot be written; export without it")]
+    #[error(
+        "{file}: {element}: it has {extension}, a compression that cannot be written; export without it"
+    )]
     Compressed {
         /// The file as the user named it.
         file: String,
@@ -50,7 +52,9 @@ pub enum TexelsError {
         file: String,
     },
     /// Texture coordinates that the user wants to keep are missing or cannot be used.
-    #[error("{file}: {element}: {reason}; repair TEXCOORD_1, or leave out --uv keep to get new coordinates")]
+    #[error(
+        "{file}: {element}: {reason}; repair TEXCOORD_1, or leave out --uv keep to get new coordinates"
+    )]
     NotUsable {
         /// The file as the user named it.
         file: String,
@@ -113,7 +117,9 @@ pub enum TexelsError {
         receivers: usize,
     },
     /// A GLB counts its bytes in 32 bits.
-    #[error("{file}: the result takes more than the 4 GiB of a GLB; give a larger --texel or split it")]
+    #[error(
+        "{file}: the result takes more than the 4 GiB of a GLB; give a larger --texel or split it"
+    )]
     TooLarge {
         /// The file as the user named it.
         file: String,

@@ -60,7 +60,13 @@ impl File {
         let root: Map<String, Value> =
             serde_json::from_slice(json).map_err(|e| broken("glTF JSON", e.to_string()))?;
         let base = base.map(Path::to_owned);
-        let mut file = Self { name: name.to_owned(), root, buffers: Vec::new(), others, base };
+        let mut file = Self {
+            name: name.to_owned(),
+            root,
+            buffers: Vec::new(),
+            others,
+            base,
+        };
         file.refuse_compressed_views()?;
         file.buffers = (0..file.array("buffers").len())
             .map(|i| file.buffer(i, binary))
@@ -69,13 +75,24 @@ impl File {
     }
 
     /// An error about an element of this file.
-    pub(crate) fn broken(&self, element: impl Into<String>, reason: impl Into<String>) -> TexelsError {
-        TexelsError::Broken { file: self.name.clone(), element: element.into(), reason: reason.into() }
+    pub(crate) fn broken(
+        &self,
+        element: impl Into<String>,
+        reason: impl Into<String>,
+    ) -> TexelsError {
+        TexelsError::Broken {
+            file: self.name.clone(),
+            element: element.into(),
+            reason: reason.into(),
+        }
     }
 
     /// The elements of an array of the document; none where there is no such array.
     pub(crate) fn array(&self, key: &str) -> &[Value] {
-        self.root.get(key).and_then(Value::as_array).map_or(&[], Vec::as_slice)
+        self.root
+            .get(key)
+            .and_then(Value::as_array)
+            .map_or(&[], Vec::as_slice)
     }
 
     /// The array of the document with this name, which is made if there is none.
@@ -104,8 +121,9 @@ impl File {
         let number = |key: &str| view.get(key).and_then(Value::as_u64);
         let (offset, length) = (number("byteOffset").unwrap_or(0), number("byteLength"));
         let buffer = member(view, "buffer").and_then(|b| self.buffers.get(b));
-        let range = length
-            .and_then(|l| Some(usize::try_from(offset).ok()?..usize::try_from(offset.checked_add(l)?).ok()?));
+        let range = length.and_then(|l| {
+            Some(usize::try_from(offset).ok()?..usize::try_from(offset.checked_add(l)?).ok()?)
+        });
         let bytes = buffer.zip(range).and_then(|(b, range)| b.get(range));
         bytes.ok_or_else(|| self.broken(element(), "it reaches beyond its buffer"))
     }
@@ -116,18 +134,25 @@ impl File {
     }
 
     /// Adds bytes as a buffer view of the last buffer, and returns its number.
-    pub(crate) fn add_view(&mut self, bytes: &[u8], target: Option<u32>) -> Result<usize, TexelsError> {
+    pub(crate) fn add_view(
+        &mut self,
+        bytes: &[u8],
+        target: Option<u32>,
+    ) -> Result<usize, TexelsError> {
         if self.buffers.is_empty() {
             self.buffers.push(Vec::new());
             self.push("buffers", json!({ "byteLength": 0 }))?;
         }
         let buffer = self.buffers.len() - 1;
         if self.size().saturating_add(bytes.len()) > u32::MAX as usize {
-            return Err(TexelsError::TooLarge { file: self.name.clone() });
+            return Err(TexelsError::TooLarge {
+                file: self.name.clone(),
+            });
         }
         let to = &mut self.buffers[buffer];
         to.resize(to.len().next_multiple_of(ALIGNMENT), 0);
-        let mut view = json!({ "buffer": buffer, "byteOffset": to.len(), "byteLength": bytes.len() });
+        let mut view =
+            json!({ "buffer": buffer, "byteOffset": to.len(), "byteLength": bytes.len() });
         to.extend_from_slice(bytes);
         if let (Some(target), Some(view)) = (target, view.as_object_mut()) {
             view.insert("target".to_owned(), json!(target));
@@ -148,7 +173,10 @@ impl File {
         binary.resize(binary.len().next_multiple_of(4), 0);
         if self.root.contains_key("bufferViews") {
             for view in self.array_mut("bufferViews")? {
-                let start = member(view, "buffer").and_then(|b| starts.get(b)).copied().unwrap_or(0);
+                let start = member(view, "buffer")
+                    .and_then(|b| starts.get(b))
+                    .copied()
+                    .unwrap_or(0);
                 let offset = view.get("byteOffset").and_then(Value::as_u64).unwrap_or(0);
                 if let Some(view) = view.as_object_mut() {
                     view.insert("buffer".to_owned(), json!(0));
@@ -158,7 +186,11 @@ impl File {
         }
         if !starts.is_empty() {
             // What else the first buffer has, such as its name, stays.
-            let mut all = self.array("buffers").first().cloned().unwrap_or_else(|| json!({}));
+            let mut all = self
+                .array("buffers")
+                .first()
+                .cloned()
+                .unwrap_or_else(|| json!({}));
             if let Some(all) = all.as_object_mut() {
                 all.shift_remove("uri");
                 all.insert("byteLength".to_owned(), json!(binary.len()));
@@ -171,7 +203,11 @@ impl File {
         if !starts.is_empty() {
             chunks.push((BINARY, &binary));
         }
-        chunks.extend(self.others.iter().map(|(kind, data)| (*kind, data.as_slice())));
+        chunks.extend(
+            self.others
+                .iter()
+                .map(|(kind, data)| (*kind, data.as_slice())),
+        );
         join(&chunks).ok_or(TexelsError::TooLarge { file: self.name })
     }
 
@@ -181,7 +217,11 @@ impl File {
             let met = |e: &&str| extensions.is_some_and(|all| all.get(*e).is_some());
             if let Some(extension) = COMPRESSED_VIEWS.into_iter().find(|e| met(e)) {
                 let element = format!("buffer view {i}");
-                return Err(TexelsError::Compressed { file: self.name.clone(), element, extension });
+                return Err(TexelsError::Compressed {
+                    file: self.name.clone(),
+                    element,
+                    extension,
+                });
             }
         }
         Ok(())
@@ -195,11 +235,21 @@ impl File {
         let mut bytes = match buffer.get("uri").and_then(Value::as_str) {
             Some(uri) => uri_bytes((&self.name, &element), uri, self.base.as_deref(), length)?,
             None if i == 0 && binary.is_some() => binary.unwrap_or_default().to_vec(),
-            None => return Err(self.broken(element, "it has no uri and is not the binary chunk of a GLB")),
+            None => {
+                return Err(self.broken(
+                    element,
+                    "it has no uri and is not the binary chunk of a GLB",
+                ));
+            }
         };
         match usize::try_from(length).ok().filter(|l| *l <= bytes.len()) {
             Some(length) => bytes.truncate(length),
-            None => return Err(self.broken(element, format!("{} bytes of {length} are there", bytes.len()))),
+            None => {
+                return Err(self.broken(
+                    element,
+                    format!("{} bytes of {length} are there", bytes.len()),
+                ));
+            }
         }
         Ok(bytes)
     }
@@ -208,12 +258,20 @@ impl File {
     fn embed_images(&mut self) -> Result<(), TexelsError> {
         for i in 0..self.array("images").len() {
             let image = &self.array("images")[i];
-            let Some(uri) = image.get("uri").and_then(Value::as_str).filter(|u| !u.starts_with("data:"))
+            let Some(uri) = image
+                .get("uri")
+                .and_then(Value::as_str)
+                .filter(|u| !u.starts_with("data:"))
             else {
                 continue;
             };
             let element = format!("image {i}");
-            let bytes = uri_bytes((&self.name, &element), uri, self.base.as_deref(), u64::from(u32::MAX))?;
+            let bytes = uri_bytes(
+                (&self.name, &element),
+                uri,
+                self.base.as_deref(),
+                u64::from(u32::MAX),
+            )?;
             let kind = image
                 .get("mimeType")
                 .and_then(Value::as_str)
@@ -236,7 +294,11 @@ pub(crate) fn member(of: &Value, key: &str) -> Option<usize> {
 
 /// The media type of an image.
 fn mime(uri: &str, bytes: &[u8]) -> String {
-    let ending = uri.rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
+    let ending = uri
+        .rsplit('.')
+        .next()
+        .unwrap_or_default()
+        .to_ascii_lowercase();
     match bytes {
         [0x89, b'P', b'N', b'G', ..] => "image/png",
         [0xff, 0xd8, ..] => "image/jpeg",
@@ -251,7 +313,12 @@ fn mime(uri: &str, bytes: &[u8]) -> String {
 
 /// The chunks of a GLB; none if it is cut off.
 fn chunks(bytes: &[u8]) -> Option<Vec<([u8; 4], &[u8])>> {
-    let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b) as usize);
+    let word = |at: usize| {
+        bytes
+            .get(at..)?
+            .first_chunk::<4>()
+            .map(|b| u32::from_le_bytes(*b) as usize)
+    };
     let bytes = bytes.get(..word(8)?)?;
     let (mut at, mut chunks) = (12, Vec::new());
     while at + 8 <= bytes.len() {
@@ -267,7 +334,11 @@ fn chunks(bytes: &[u8]) -> Option<Vec<([u8; 4], &[u8])>> {
 /// A GLB of some chunks; none if it would be longer than its header can say.
 fn join(chunks: &[([u8; 4], &[u8])]) -> Option<Vec<u8>> {
     let padded = |data: &[u8]| data.len().next_multiple_of(4);
-    let total = 12 + chunks.iter().map(|(_, data)| 8 + padded(data)).sum::<usize>();
+    let total = 12
+        + chunks
+            .iter()
+            .map(|(_, data)| 8 + padded(data))
+            .sum::<usize>();
     let mut out = Vec::with_capacity(total);
     out.extend_from_slice(b"glTF");
     out.extend_from_slice(&2u32.to_le_bytes());

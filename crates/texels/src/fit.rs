@@ -35,7 +35,11 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
     let mut matrices = vec![[0.0f64; 6]; triangles.len()];
     // Unknowns are differences from the mean, which is what those are that no receiver reaches.
     let known = values.iter().flatten().count();
-    let mean = if known == 0 { 1.0 } else { values.iter().flatten().sum::<f64>() / known as f64 };
+    let mean = if known == 0 {
+        1.0
+    } else {
+        values.iter().flatten().sum::<f64>() / known as f64
+    };
     let mut next = 0;
     let mut drawn = Vec::new();
     for (t, corners) in unknowns.corners.iter().enumerate() {
@@ -87,7 +91,9 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
             out[corners[2] as usize] += m[5] * x + m[4] * y + m[2] * z;
         }
         for h in &hinges {
-            let sum: f64 = (0..4).map(|i| h.weights[i] * v[h.unknowns[i] as usize]).sum();
+            let sum: f64 = (0..4)
+                .map(|i| h.weights[i] * v[h.unknowns[i] as usize])
+                .sum();
             (0..4).for_each(|i| out[h.unknowns[i] as usize] += h.weights[i] * sum);
         }
         for [i, j] in &drawn {
@@ -104,9 +110,15 @@ pub(crate) fn fit(scene: &Scene, unknowns: &Unknowns, values: &[Option<f64>]) ->
 }
 
 /// How the gradient changes across an edge, as if its two triangles lay in one plane; none for slivers.
-fn hinge(triangles: &[Triangle], unknowns: &Unknowns, pair: &[Edge; 2], mean_area: f64) -> Option<Hinge> {
-    let point =
-        |e: &Edge, corner: u8| -> DVec3 { triangles[e.triangle as usize].v[usize::from(corner)].as_dvec3() };
+fn hinge(
+    triangles: &[Triangle],
+    unknowns: &Unknowns,
+    pair: &[Edge; 2],
+    mean_area: f64,
+) -> Option<Hinge> {
+    let point = |e: &Edge, corner: u8| -> DVec3 {
+        triangles[e.triangle as usize].v[usize::from(corner)].as_dvec3()
+    };
     let (start, end) = (point(&pair[0], pair[0].from), point(&pair[0], pair[0].to));
     let along = end - start;
     let length = along.length();
@@ -130,6 +142,9 @@ fn hinge(triangles: &[Triangle], unknowns: &Unknowns, pair: &[Edge; 2], mean_are
     let factor = (BEND * area.min(1.0)).sqrt() / largest;
     weights.iter_mut().for_each(|w| *w *= factor);
     let ends = pair[0].ends;
-    Some(Hinge { unknowns: [ends[0], ends[1], c, d], weights })
-        .filter(|h| h.weights.iter().all(|w| w.is_finite()))
+    Some(Hinge {
+        unknowns: [ends[0], ends[1], c, d],
+        weights,
+    })
+    .filter(|h| h.weights.iter().all(|w| w.is_finite()))
 }

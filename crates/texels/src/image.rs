@@ -52,7 +52,11 @@ impl Image {
                 *sum /= weight;
             }
         }
-        Self { size, values: sums, states }
+        Self {
+            size,
+            values: sums,
+            states,
+        }
     }
 
     /// How many texels are in a state.
@@ -87,7 +91,10 @@ impl Image {
             Bits::Sixteen => png::BitDepth::Sixteen,
         });
         let mut writer = encoder.write_header()?;
-        let numbers = self.values.iter().map(|v| (v.clamp(0.0, 1.0) * bits.largest()).round());
+        let numbers = self
+            .values
+            .iter()
+            .map(|v| (v.clamp(0.0, 1.0) * bits.largest()).round());
         let data: Vec<u8> = match bits {
             Bits::Eight => numbers.map(|n| n as u8).collect(),
             Bits::Sixteen => numbers.flat_map(|n| (n as u16).to_be_bytes()).collect(),

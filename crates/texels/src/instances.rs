@@ -14,8 +14,16 @@ pub(crate) fn mirrors(file: &File) -> Vec<f64> {
     let nodes = file.array("nodes");
     let mut parents = vec![None; nodes.len()];
     for (n, node) in nodes.iter().enumerate() {
-        for child in node.get("children").and_then(Value::as_array).into_iter().flatten() {
-            if let Some(parent) = child.as_u64().and_then(|c| parents.get_mut(usize::try_from(c).ok()?)) {
+        for child in node
+            .get("children")
+            .and_then(Value::as_array)
+            .into_iter()
+            .flatten()
+        {
+            if let Some(parent) = child
+                .as_u64()
+                .and_then(|c| parents.get_mut(usize::try_from(c).ok()?))
+            {
                 *parent = Some(n);
             }
         }
@@ -41,8 +49,13 @@ pub(crate) fn mirrors(file: &File) -> Vec<f64> {
 
 /// 1, or -1 if the transform of a node relative to its parent mirrors.
 fn own(node: &Value) -> f64 {
-    let numbers =
-        |key: &str| -> Option<Vec<f64>> { node.get(key)?.as_array()?.iter().map(Value::as_f64).collect() };
+    let numbers = |key: &str| -> Option<Vec<f64>> {
+        node.get(key)?
+            .as_array()?
+            .iter()
+            .map(Value::as_f64)
+            .collect()
+    };
     if let Some(&[a, b, c, _, d, e, f, _, g, h, i, ..]) = numbers("matrix").as_deref() {
         return sign(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g));
     }
@@ -62,17 +75,25 @@ fn attributes(node: &Value) -> Option<[Option<usize>; 3]> {
 
 /// 1, or -1 if the transform of instance `i` of a node mirrors.
 pub(crate) fn instance_mirrors(file: &File, node: usize, i: u32) -> Result<f64, TexelsError> {
-    let scale = file.array("nodes").get(node).and_then(attributes).and_then(|a| a[2]);
+    let scale = file
+        .array("nodes")
+        .get(node)
+        .and_then(attributes)
+        .and_then(|a| a[2]);
     let Some(scale) = scale else { return Ok(1.0) };
     let elements = Elements::read(file, scale)?;
-    Ok((0..3).map(|c| sign(elements.number(i as usize, c))).product())
+    Ok((0..3)
+        .map(|c| sign(elements.number(i as usize, c)))
+        .product())
 }
 
 /// Replaces the instances of a node by children, one for each of `meshes`, which come before its other
 /// children, so that triangles keep their order.
 pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(), TexelsError> {
     let original = file.array("nodes").get(node).cloned().unwrap_or_default();
-    let Some(of) = attributes(&original) else { return Ok(()) };
+    let Some(of) = attributes(&original) else {
+        return Ok(());
+    };
     let mut children = Vec::with_capacity(meshes.len());
     for (i, mesh) in meshes.iter().enumerate() {
         let mut child = Map::new();
@@ -83,7 +104,10 @@ pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(
         for key in ["skin", "weights"] {
             child.extend(original.get(key).map(|v| (key.to_owned(), v.clone())));
         }
-        for (accessor, (key, n)) in of.into_iter().zip([("translation", 3), ("rotation", 4), ("scale", 3)]) {
+        for (accessor, (key, n)) in
+            of.into_iter()
+                .zip([("translation", 3), ("rotation", 4), ("scale", 3)])
+        {
             let Some(accessor) = accessor else { continue };
             let elements = Elements::read(file, accessor)?;
             let numbers: Vec<f64> = (0..n).map(|c| elements.number(i, c)).collect();
@@ -91,7 +115,11 @@ pub(crate) fn expand(file: &mut File, node: usize, meshes: &[usize]) -> Result<(
         }
         children.push(json!(file.push("nodes", Value::Object(child))?));
     }
-    let Some(node) = file.array_mut("nodes")?.get_mut(node).and_then(Value::as_object_mut) else {
+    let Some(node) = file
+        .array_mut("nodes")?
+        .get_mut(node)
+        .and_then(Value::as_object_mut)
+    else {
         return Ok(());
     };
     for key in ["mesh", "skin", "weights"] {

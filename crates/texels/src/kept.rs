@@ -49,14 +49,22 @@ impl Coordinates {
         let mut part_of = vec![0u32; scene.len() as usize];
         for (number, part) in (0u32..).zip(&parts.all) {
             let label = label(parts, part);
-            let unusable =
-                |element: String, reason: &str| Ok(Err(Unusable { element, reason: reason.to_owned() }));
+            let unusable = |element: String, reason: &str| {
+                Ok(Err(Unusable {
+                    element,
+                    reason: reason.to_owned(),
+                }))
+            };
             let Some(own) = coordinates(file, parts, part)? else {
                 return unusable(label, "it has no TEXCOORD_1");
             };
             let (mut without, mut all) = (0.0, 0.0);
             for (k, t) in own.iter().enumerate() {
-                if !t.iter().flatten().all(|c| (-SLACK..=1.0 + SLACK).contains(c)) {
+                if !t
+                    .iter()
+                    .flatten()
+                    .all(|c| (-SLACK..=1.0 + SLACK).contains(c))
+                {
                     let element = format!("{label}, triangle {k}");
                     return unusable(element, "its TEXCOORD_1 is not within 0 and 1");
                 }
@@ -69,7 +77,10 @@ impl Coordinates {
             }
             let counts = |_: usize, _: usize| true;
             if let Some((a, b)) = overlap(&own, &counts) {
-                return unusable(format!("{label}, triangles {a} and {b}"), "they overlap in TEXCOORD_1");
+                return unusable(
+                    format!("{label}, triangles {a} and {b}"),
+                    "they overlap in TEXCOORD_1",
+                );
             }
             let range = part.first as usize..part.first as usize + own.len();
             triangles[range.clone()].copy_from_slice(&own);
@@ -88,12 +99,28 @@ impl Coordinates {
         size: Size,
     ) -> Result<Atlas, TexelsError> {
         let layouts = vec![Layout::Kept; parts.all.len()];
-        let mut atlas = Atlas { size: [1, 1], triangles: self.triangles, layouts, charts: 0, gap: 0 };
+        let mut atlas = Atlas {
+            size: [1, 1],
+            triangles: self.triangles,
+            layouts,
+            charts: 0,
+            gap: 0,
+        };
         // Units of the scene for one side of the image, from the areas of both.
         let units = |range: std::ops::Range<usize>| {
-            let flat: f64 = atlas.triangles[range.clone()].iter().map(|t| area(t).abs()).sum();
-            let surface: f64 = scene.triangles()[range].iter().map(|t| cross(t).length()).sum();
-            if flat > 0.0 && surface > 0.0 { (surface / flat).sqrt() } else { 0.0 }
+            let flat: f64 = atlas.triangles[range.clone()]
+                .iter()
+                .map(|t| area(t).abs())
+                .sum();
+            let surface: f64 = scene.triangles()[range]
+                .iter()
+                .map(|t| cross(t).length())
+                .sum();
+            if flat > 0.0 && surface > 0.0 {
+                (surface / flat).sqrt()
+            } else {
+                0.0
+            }
         };
         if !self.apart {
             let side = match size {
@@ -101,7 +128,10 @@ impl Coordinates {
                 Size::Texel(texel) => (units(0..scene.len() as usize) / texel).ceil().max(1.0),
             };
             if side > f64::from(MOST_SIDE) {
-                return Err(TexelsError::TooManyTexels { file: file.name.clone(), texels: side * side });
+                return Err(TexelsError::TooManyTexels {
+                    file: file.name.clone(),
+                    texels: side * side,
+                });
             }
             atlas.size = [side as u32; 2];
             for corner in atlas.triangles.iter_mut().flatten() {
@@ -115,7 +145,9 @@ impl Coordinates {
         let packed = pack(&file.name, &squares, size)?;
         (atlas.size, atlas.gap) = (packed.size, packed.gap);
         for (i, part) in parts.all.iter().enumerate() {
-            let scale = packed.size.map(|n| sides[i] * packed.per_unit / f64::from(n));
+            let scale = packed
+                .size
+                .map(|n| sides[i] * packed.per_unit / f64::from(n));
             let offset = [0, 1].map(|k| f64::from(packed.at[i][k]) / f64::from(packed.size[k]));
             atlas.layouts[i] = Layout::Moved { scale, offset };
             let own = &mut atlas.triangles[part.first as usize..][..part.corners.len()];
@@ -130,22 +162,33 @@ impl Coordinates {
 /// A primitive in messages.
 pub(crate) fn label(parts: &Parts, part: &Part) -> String {
     let draw = parts.draws[part.draw];
-    format!("mesh {}, primitive {} (at node {})", draw.mesh, part.primitive, draw.node)
+    format!(
+        "mesh {}, primitive {} (at node {})",
+        draw.mesh, part.primitive, draw.node
+    )
 }
 
 /// `TEXCOORD_1` of a part's triangles; none if it has none.
 fn coordinates(file: &File, parts: &Parts, part: &Part) -> Result<Option<Vec<Flat>>, TexelsError> {
     let primitive = primitive_of(file, parts.draws[part.draw].mesh, part.primitive);
-    let accessor = primitive.and_then(|p| p.get("attributes")).and_then(|a| member(a, "TEXCOORD_1"));
-    let Some(accessor) = accessor else { return Ok(None) };
+    let accessor = primitive
+        .and_then(|p| p.get("attributes"))
+        .and_then(|a| member(a, "TEXCOORD_1"));
+    let Some(accessor) = accessor else {
+        return Ok(None);
+    };
     let elements = Elements::read(file, accessor)?;
     if elements.components != 2 || !(elements.normalized || elements.component == FLOAT) {
-        return Err(file.broken(format!("accessor {accessor}"), "its elements are no texture coordinates"));
+        return Err(file.broken(
+            format!("accessor {accessor}"),
+            "its elements are no texture coordinates",
+        ));
     }
     if elements.count < part.vertices as usize {
-        return Err(
-            file.broken(format!("accessor {accessor}"), "it has fewer elements than there are vertices")
-        );
+        return Err(file.broken(
+            format!("accessor {accessor}"),
+            "it has fewer elements than there are vertices",
+        ));
     }
     let corner = |v: u32| [0, 1].map(|c| elements.number(v as usize, c));
     Ok(Some(part.corners.iter().map(|t| t.map(corner)).collect()))

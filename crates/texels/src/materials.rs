@@ -33,13 +33,18 @@ pub(crate) struct Done {
 
 /// The variants of a primitive.
 fn variants(primitive: &Value) -> impl Iterator<Item = &Value> {
-    let of = primitive.get("extensions").and_then(|e| e.get(VARIANTS)).and_then(|v| v.get("mappings"));
+    let of = primitive
+        .get("extensions")
+        .and_then(|e| e.get(VARIANTS))
+        .and_then(|v| v.get("mappings"));
     of.and_then(Value::as_array).into_iter().flatten()
 }
 
 /// The materials of a primitive: its own, and those of its variants.
 pub(crate) fn numbers_of(primitive: &Value) -> impl Iterator<Item = usize> {
-    member(primitive, "material").into_iter().chain(variants(primitive).filter_map(|v| member(v, "material")))
+    member(primitive, "material")
+        .into_iter()
+        .chain(variants(primitive).filter_map(|v| member(v, "material")))
 }
 
 /// Whether a texture of a material, other than its occlusion, has this set of coordinates.
@@ -51,7 +56,12 @@ pub(crate) fn uses_set(material: Option<&Value>, set: usize) -> bool {
                 if member(value, "texCoord") == Some(set) {
                     return true;
                 }
-                open.extend(members.iter().filter(|(key, _)| *key != "occlusionTexture").map(|(_, v)| v));
+                open.extend(
+                    members
+                        .iter()
+                        .filter(|(key, _)| *key != "occlusionTexture")
+                        .map(|(_, v)| v),
+                );
             }
             Value::Array(items) => open.extend(items),
             _ => {}
@@ -77,34 +87,42 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
     let mut known: BTreeMap<(Option<usize>, usize), usize> = BTreeMap::new();
     // Materials that are changed themselves.
     let mut taken = BTreeSet::new();
-    let mut with_texture = |file: &mut File, of: Option<usize>, set: usize| -> Result<usize, TexelsError> {
-        if let Some(number) = known.get(&(of, set)) {
-            return Ok(*number);
-        }
-        let occlusion = json!({ "index": texture, "texCoord": set, "strength": 1 });
-        let number = match of.filter(|m| *m < file.array("materials").len()) {
-            Some(m) if !others.contains(&m) && taken.insert(m) => m,
-            given => {
-                done.added += 1;
-                let mut copy = given.map_or_else(|| json!({}), |m| file.array("materials")[m].clone());
-                // A copy of one that has been changed already has the texture: it was counted there.
-                if given.is_some_and(|m| taken.contains(&m))
-                    && let Some(copy) = copy.as_object_mut()
-                {
-                    copy.shift_remove("occlusionTexture");
-                }
-                file.push("materials", copy)?
+    let mut with_texture =
+        |file: &mut File, of: Option<usize>, set: usize| -> Result<usize, TexelsError> {
+            if let Some(number) = known.get(&(of, set)) {
+                return Ok(*number);
             }
+            let occlusion = json!({ "index": texture, "texCoord": set, "strength": 1 });
+            let number = match of.filter(|m| *m < file.array("materials").len()) {
+                Some(m) if !others.contains(&m) && taken.insert(m) => m,
+                given => {
+                    done.added += 1;
+                    let mut copy =
+                        given.map_or_else(|| json!({}), |m| file.array("materials")[m].clone());
+                    // A copy of one that has been changed already has the texture: it was counted there.
+                    if given.is_some_and(|m| taken.contains(&m))
+                        && let Some(copy) = copy.as_object_mut()
+                    {
+                        copy.shift_remove("occlusionTexture");
+                    }
+                    file.push("materials", copy)?
+                }
+            };
+            if let Some(material) = file
+                .array_mut("materials")?
+                .get_mut(number)
+                .and_then(Value::as_object_mut)
+            {
+                done.replaced += usize::from(material.contains_key("occlusionTexture"));
+                material.insert("occlusionTexture".to_owned(), occlusion);
+            }
+            known.insert((of, set), number);
+            Ok(number)
         };
-        if let Some(material) = file.array_mut("materials")?.get_mut(number).and_then(Value::as_object_mut) {
-            done.replaced += usize::from(material.contains_key("occlusionTexture"));
-            material.insert("occlusionTexture".to_owned(), occlusion);
-        }
-        known.insert((of, set), number);
-        Ok(number)
-    };
     for u in uses {
-        let mut new = primitive_of(file, u.mesh, u.primitive).cloned().unwrap_or(Value::Null);
+        let mut new = primitive_of(file, u.mesh, u.primitive)
+            .cloned()
+            .unwrap_or(Value::Null);
         let own = with_texture(file, member(&new, "material"), u.set)?;
         let of: Vec<Option<usize>> = variants(&new).map(|v| member(v, "material")).collect();
         for (i, of) in of.into_iter().enumerate() {

@@ -15,9 +15,14 @@ const DEEPEST: u32 = 40;
 
 /// Two triangles that overlap and for which `counts`; which of several such pairs depends on the triangles
 /// alone.
-pub(crate) fn overlap(triangles: &[Flat], counts: &dyn Fn(usize, usize) -> bool) -> Option<(usize, usize)> {
+pub(crate) fn overlap(
+    triangles: &[Flat],
+    counts: &dyn Fn(usize, usize) -> bool,
+) -> Option<(usize, usize)> {
     // Thinner ones cannot overlap by more.
-    let all: Vec<usize> = (0..triangles.len()).filter(|i| !thin(&triangles[*i])).collect();
+    let all: Vec<usize> = (0..triangles.len())
+        .filter(|i| !thin(&triangles[*i]))
+        .collect();
     let mut open = vec![(all, 0)];
     while let Some((part, depth)) = open.pop() {
         if part.len() > FEW
@@ -56,20 +61,36 @@ fn thin(t: &Flat) -> bool {
 /// The triangles on both sides of a line; none where that divides too little.
 fn divide(triangles: &[Flat], part: &[usize]) -> Option<[Vec<usize>; 2]> {
     let spread = |axis: usize| {
-        let mut middles: Vec<f64> =
-            part.iter().map(|i| extent(&triangles[*i], axis).iter().sum::<f64>() / 2.0).collect();
+        let mut middles: Vec<f64> = part
+            .iter()
+            .map(|i| extent(&triangles[*i], axis).iter().sum::<f64>() / 2.0)
+            .collect();
         middles.sort_unstable_by(f64::total_cmp);
-        (middles[middles.len() - 1] - middles[0], middles[middles.len() / 2])
+        (
+            middles[middles.len() - 1] - middles[0],
+            middles[middles.len() / 2],
+        )
     };
     let (across, down) = (spread(0), spread(1));
     let try_axis = |axis: usize, at: f64| {
-        let low: Vec<usize> = part.iter().copied().filter(|i| extent(&triangles[*i], axis)[0] < at).collect();
-        let high: Vec<usize> =
-            part.iter().copied().filter(|i| extent(&triangles[*i], axis)[1] > at).collect();
+        let low: Vec<usize> = part
+            .iter()
+            .copied()
+            .filter(|i| extent(&triangles[*i], axis)[0] < at)
+            .collect();
+        let high: Vec<usize> = part
+            .iter()
+            .copied()
+            .filter(|i| extent(&triangles[*i], axis)[1] > at)
+            .collect();
         let most = low.len().max(high.len());
         (most * 8 <= part.len() * 7).then_some([low, high])
     };
-    let order = if across.0 >= down.0 { [(0, across.1), (1, down.1)] } else { [(1, down.1), (0, across.1)] };
+    let order = if across.0 >= down.0 {
+        [(0, across.1), (1, down.1)]
+    } else {
+        [(1, down.1), (0, across.1)]
+    };
     order.into_iter().find_map(|(axis, at)| try_axis(axis, at))
 }
 
@@ -109,8 +130,12 @@ mod tests {
     fn grid(n: usize) -> Vec<Flat> {
         let at = |i: usize| i as f64 / n as f64;
         let square = |i: usize, j: usize| {
-            let [a, b, c, d] =
-                [[at(i), at(j)], [at(i + 1), at(j)], [at(i + 1), at(j + 1)], [at(i), at(j + 1)]];
+            let [a, b, c, d] = [
+                [at(i), at(j)],
+                [at(i + 1), at(j)],
+                [at(i + 1), at(j + 1)],
+                [at(i), at(j + 1)],
+            ];
             [[a, b, c], [a, c, d]]
         };
         (0..n * n).flat_map(|k| square(k % n, k / n)).collect()
@@ -137,9 +162,15 @@ mod tests {
         assert_eq!(overlap(&all, &|_, b| b != 3200), None);
         // The same triangle twice, also turned over.
         let t = [[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]];
-        assert_eq!(overlap(&[t, [t[0], t[2], t[1]]], &|_, _| true), Some((0, 1)));
+        assert_eq!(
+            overlap(&[t, [t[0], t[2], t[1]]], &|_, _| true),
+            Some((0, 1))
+        );
         // Crossing ones none of whose corners is inside of the other.
-        let (flat, high) = ([[0.0, 0.4], [1.0, 0.4], [1.0, 0.6]], [[0.4, 0.0], [0.6, 1.0], [0.4, 1.0]]);
+        let (flat, high) = (
+            [[0.0, 0.4], [1.0, 0.4], [1.0, 0.6]],
+            [[0.4, 0.0], [0.6, 1.0], [0.4, 1.0]],
+        );
         assert_eq!(overlap(&[flat, high], &|_, _| true), Some((0, 1)));
     }
 }

@@ -32,11 +32,16 @@ pub(crate) fn pack(file: &str, sizes: &[[f64; 2]], size: Size) -> Result<Packed,
     GAPS.iter().find_map(found).ok_or_else(|| match size {
         Size::Texel(texel) => {
             let texels = sizes.iter().map(|s| s[0] * s[1] / (texel * texel)).sum();
-            TexelsError::TooManyTexels { file: file.to_owned(), texels }
+            TexelsError::TooManyTexels {
+                file: file.to_owned(),
+                texels,
+            }
         }
-        Size::Resolution(side) => {
-            TexelsError::TooManyCharts { file: file.to_owned(), charts: sizes.len() as u32, side }
-        }
+        Size::Resolution(side) => TexelsError::TooManyCharts {
+            file: file.to_owned(),
+            charts: sizes.len() as u32,
+            side,
+        },
     })
 }
 
@@ -49,15 +54,29 @@ fn texels(units: f64, per_unit: f64) -> u32 {
 /// In a square image that is as small as it can be, for texels of a given size; none if it would be too
 /// large.
 fn by_texel(sizes: &[[f64; 2]], texel: f64, gap: u32) -> Option<Packed> {
-    let rectangles: Vec<[u32; 2]> = sizes.iter().map(|s| s.map(|units| texels(units, 1.0 / texel))).collect();
+    let rectangles: Vec<[u32; 2]> = sizes
+        .iter()
+        .map(|s| s.map(|units| texels(units, 1.0 / texel)))
+        .collect();
     let with_gaps = |n: u32| f64::from(n) + f64::from(2 * gap);
-    let total: f64 = rectangles.iter().map(|r| with_gaps(r[0]) * with_gaps(r[1])).sum();
-    let widest = rectangles.iter().map(|r| with_gaps(r[0])).fold(1.0, f64::max);
+    let total: f64 = rectangles
+        .iter()
+        .map(|r| with_gaps(r[0]) * with_gaps(r[1]))
+        .sum();
+    let widest = rectangles
+        .iter()
+        .map(|r| with_gaps(r[0]))
+        .fold(1.0, f64::max);
     let mut width = total.sqrt().ceil().max(widest);
     while width <= f64::from(MOST_SIDE) {
         let (at, height) = rows(&rectangles, width as u32, gap);
         if f64::from(height) <= width {
-            return Some(Packed { at, per_unit: 1.0 / texel, size: [width as u32, height], gap });
+            return Some(Packed {
+                at,
+                per_unit: 1.0 / texel,
+                size: [width as u32, height],
+                gap,
+            });
         }
         width = (width * 1.02).ceil();
     }
@@ -67,13 +86,26 @@ fn by_texel(sizes: &[[f64; 2]], texel: f64, gap: u32) -> Option<Packed> {
 /// In a square image of a given side, as large as they can be; none if they do not fit at any size.
 fn by_side(sizes: &[[f64; 2]], side: u32, gap: u32) -> Option<Packed> {
     let fits = |per_unit: f64| {
-        let rectangles: Vec<[u32; 2]> =
-            sizes.iter().map(|s| s.map(|units| texels(units, per_unit))).collect();
-        let narrow = rectangles.iter().all(|r| r[0].saturating_add(2 * gap) <= side);
+        let rectangles: Vec<[u32; 2]> = sizes
+            .iter()
+            .map(|s| s.map(|units| texels(units, per_unit)))
+            .collect();
+        let narrow = rectangles
+            .iter()
+            .all(|r| r[0].saturating_add(2 * gap) <= side);
         let (at, height) = narrow.then(|| rows(&rectangles, side, gap))?;
-        (height <= side).then_some(Packed { at, per_unit, size: [side; 2], gap })
+        (height <= side).then_some(Packed {
+            at,
+            per_unit,
+            size: [side; 2],
+            gap,
+        })
     };
-    let largest = sizes.iter().flatten().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let largest = sizes
+        .iter()
+        .flatten()
+        .copied()
+        .fold(f64::MIN_POSITIVE, f64::max);
     let (mut low, mut high) = (0.0, f64::from(side) / largest);
     // Every rectangle is one texel.
     let mut best = fits(low)?;
@@ -90,7 +122,12 @@ fn by_side(sizes: &[[f64; 2]], side: u32, gap: u32) -> Option<Packed> {
 /// Rectangles in rows of a width, and the height of all rows.
 fn rows(rectangles: &[[u32; 2]], width: u32, gap: u32) -> (Vec<[u32; 2]>, u32) {
     let mut order: Vec<usize> = (0..rectangles.len()).collect();
-    order.sort_by_key(|i| (std::cmp::Reverse([rectangles[*i][1], rectangles[*i][0]]), *i));
+    order.sort_by_key(|i| {
+        (
+            std::cmp::Reverse([rectangles[*i][1], rectangles[*i][0]]),
+            *i,
+        )
+    });
     let mut places = vec![[0; 2]; rectangles.len()];
     let (mut at, mut row) = ([0u32; 2], 0u32);
     for i in order {
@@ -112,9 +149,19 @@ mod tests {
 
     #[test]
     fn rectangles_do_not_overlap() {
-        let sizes: Vec<[f64; 2]> =
-            (0..200).map(|i| [f64::from(1 + i * 7 % 23) / 10.0, f64::from(1 + i * 5 % 11) / 10.0]).collect();
-        for size in [Size::Resolution(200), Size::Resolution(100), Size::Texel(0.05)] {
+        let sizes: Vec<[f64; 2]> = (0..200)
+            .map(|i| {
+                [
+                    f64::from(1 + i * 7 % 23) / 10.0,
+                    f64::from(1 + i * 5 % 11) / 10.0,
+                ]
+            })
+            .collect();
+        for size in [
+            Size::Resolution(200),
+            Size::Resolution(100),
+            Size::Texel(0.05),
+        ] {
             let packed = pack("test", &sizes, size).unwrap();
             let [width, height] = packed.size.map(|n| n as usize);
             let mut owner = vec![false; width * height];
@@ -122,7 +169,10 @@ mod tests {
                 let end = [0, 1].map(|k| at[k] + texels(size[k], packed.per_unit) + packed.gap);
                 for y in at[1] - packed.gap..end[1] {
                     for x in at[0] - packed.gap..end[0] {
-                        assert!(!std::mem::replace(&mut owner[y as usize * width + x as usize], true));
+                        assert!(!std::mem::replace(
+                            &mut owner[y as usize * width + x as usize],
+                            true
+                        ));
                     }
                 }
             }

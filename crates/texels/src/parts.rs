@@ -57,8 +57,13 @@ impl Parts {
         let mut parts = Self::default();
         let mut front = 1.0;
         for (object, source) in scene.objects().iter().zip(sources) {
-            let [node, mesh, primitive] = [source.node, source.mesh, source.primitive].map(|i| i as usize);
-            let draw = Draw { node, instance: source.instance, mesh };
+            let [node, mesh, primitive] =
+                [source.node, source.mesh, source.primitive].map(|i| i as usize);
+            let draw = Draw {
+                node,
+                instance: source.instance,
+                mesh,
+            };
             if parts.draws.last() != Some(&draw) {
                 parts.draws.push(draw);
                 front = signs.get(node).copied().unwrap_or(1.0);
@@ -77,7 +82,11 @@ impl Parts {
                 return Err(TexelsError::OtherScene {
                     file: file.name.clone(),
                     element,
-                    reason: format!("it has {} triangles, the scene {}", part.corners.len(), object.count),
+                    reason: format!(
+                        "it has {} triangles, the scene {}",
+                        part.corners.len(),
+                        object.count
+                    ),
                 });
             }
             (part.draw, part.primitive) = (parts.draws.len() - 1, primitive);
@@ -90,7 +99,10 @@ impl Parts {
 
 /// A primitive of a mesh.
 pub(crate) fn primitive_of(file: &File, mesh: usize, primitive: usize) -> Option<&Value> {
-    file.array("meshes").get(mesh)?.get("primitives")?.get(primitive)
+    file.array("meshes")
+        .get(mesh)?
+        .get("primitives")?
+        .get(primitive)
 }
 
 /// Replaces a primitive.
@@ -101,7 +113,10 @@ pub(crate) fn put_primitive(
     new: Value,
 ) -> Result<(), TexelsError> {
     let mesh = file.array_mut("meshes")?.get_mut(mesh);
-    if let Some(slot) = mesh.and_then(|m| m.get_mut("primitives")).and_then(|p| p.get_mut(primitive)) {
+    if let Some(slot) = mesh
+        .and_then(|m| m.get_mut("primitives"))
+        .and_then(|p| p.get_mut(primitive))
+    {
         *slot = new;
     }
     Ok(())
@@ -109,20 +124,31 @@ pub(crate) fn put_primitive(
 
 /// A primitive's triangles.
 fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, TexelsError> {
-    if primitive.get("extensions").is_some_and(|e| e.get(DRACO).is_some()) {
+    if primitive
+        .get("extensions")
+        .is_some_and(|e| e.get(DRACO).is_some())
+    {
         let (file, element) = (file.name.clone(), element.to_owned());
-        return Err(TexelsError::Compressed { file, element, extension: DRACO });
+        return Err(TexelsError::Compressed {
+            file,
+            element,
+            extension: DRACO,
+        });
     }
-    let positions = primitive.get("attributes").and_then(|a| member(a, "POSITION"));
+    let positions = primitive
+        .get("attributes")
+        .and_then(|a| member(a, "POSITION"));
     let positions = positions.ok_or_else(|| file.broken(element, "it has no positions"))?;
     let vertices = Elements::read(file, positions)?.count;
-    let vertices = u32::try_from(vertices).map_err(|_| file.broken(element, "it has too many vertices"))?;
+    let vertices =
+        u32::try_from(vertices).map_err(|_| file.broken(element, "it has too many vertices"))?;
     let list: Vec<u32> = match member(primitive, "indices") {
         None => (0..vertices).collect(),
         Some(indices) => {
             let elements = Elements::read(file, indices)?;
-            let indices: Option<Vec<u32>> =
-                (0..elements.count).map(|i| elements.index(i).filter(|v| *v < vertices)).collect();
+            let indices: Option<Vec<u32>> = (0..elements.count)
+                .map(|i| elements.index(i).filter(|v| *v < vertices))
+                .collect();
             indices.ok_or_else(|| file.broken(element, "an index names no vertex"))?
         }
     };
@@ -132,10 +158,28 @@ fn corners(file: &File, primitive: &Value, element: &str) -> Result<Part, Texels
         5 => list
             .windows(3)
             .enumerate()
-            .map(|(i, w)| if i % 2 == 0 { [w[0], w[1], w[2]] } else { [w[0], w[2], w[1]] })
+            .map(|(i, w)| {
+                if i % 2 == 0 {
+                    [w[0], w[1], w[2]]
+                } else {
+                    [w[0], w[2], w[1]]
+                }
+            })
             .collect(),
-        6 => list.windows(2).skip(1).map(|w| [w[0], w[1], list[0]]).collect(),
+        6 => list
+            .windows(2)
+            .skip(1)
+            .map(|w| [w[0], w[1], list[0]])
+            .collect(),
         _ => Vec::new(),
     };
-    Ok(Part { draw: 0, primitive: 0, first: 0, corners, positions, vertices, front: 1.0 })
+    Ok(Part {
+        draw: 0,
+        primitive: 0,
+        first: 0,
+        corners,
+        positions,
+        vertices,
+        front: 1.0,
+    })
 }

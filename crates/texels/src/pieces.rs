@@ -43,12 +43,21 @@ pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Piec
     let mut all = Pieces::default();
     for part in &parts.all {
         let triangles = &scene.triangles()[part.first as usize..][..part.corners.len()];
-        for (chunk, first) in triangles.chunks(AT_ONCE).zip((part.first..).step_by(AT_ONCE)) {
+        for (chunk, first) in triangles
+            .chunks(AT_ONCE)
+            .zip((part.first..).step_by(AT_ONCE))
+        {
             let made: Vec<Vec<Piece>> = chunk
                 .par_iter()
                 .zip(first..first + chunk.len() as u32)
                 .map(|(triangle, id)| {
-                    of_triangle(triangle, id, part.front, &atlas.triangles[id as usize], atlas.size)
+                    of_triangle(
+                        triangle,
+                        id,
+                        part.front,
+                        &atlas.triangles[id as usize],
+                        atlas.size,
+                    )
                 })
                 .collect();
             if all.receivers.len() + made.iter().map(Vec::len).sum::<usize>() > MOST_RECEIVERS {
@@ -65,7 +74,13 @@ pub(crate) fn pieces(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Option<Piec
 }
 
 /// The pieces of a triangle of the scene, at `flat` in the image.
-fn of_triangle(triangle: &Triangle, id: u32, front: f64, flat: &Flat, size: [u32; 2]) -> Vec<Piece> {
+fn of_triangle(
+    triangle: &Triangle,
+    id: u32,
+    front: f64,
+    flat: &Flat,
+    size: [u32; 2],
+) -> Vec<Piece> {
     let (whole, across) = (area(flat), cross(triangle));
     let surface = 0.5 * across.length();
     if triangle.is_degenerate() || whole == 0.0 || surface == 0.0 {
@@ -78,17 +93,27 @@ fn of_triangle(triangle: &Triangle, id: u32, front: f64, flat: &Flat, size: [u32
     for y in cells(&outline, 1, size[1]) {
         let row = outline.between(1, y);
         for x in cells(&row, 0, size[0]) {
-            let Some((piece, centre)) = row.between(0, x).measure().filter(|m| m.0 > SMALLEST) else {
+            let Some((piece, centre)) = row.between(0, x).measure().filter(|m| m.0 > SMALLEST)
+            else {
                 continue;
             };
             // Where the centre is in the triangle, by the areas that it divides the triangle into.
-            let at = |k: usize, l: usize| (area(&[flat[k], flat[l], centre]) / whole).clamp(0.0, 1.0);
+            let at =
+                |k: usize, l: usize| (area(&[flat[k], flat[l], centre]) / whole).clamp(0.0, 1.0);
             let (second, third) = (at(2, 0), at(0, 1));
             let rest = (1.0 - second - third).max(0.0);
             let point = (a * rest + b * second + c * third) / (rest + second + third);
-            let receiver = Receiver { point, normal, triangle: id };
+            let receiver = Receiver {
+                point,
+                normal,
+                triangle: id,
+            };
             let weight = surface * piece / (0.5 * whole.abs());
-            all.push(Piece { receiver, texel: y * size[0] + x, weight });
+            all.push(Piece {
+                receiver,
+                texel: y * size[0] + x,
+                weight,
+            });
         }
     }
     all
@@ -130,7 +155,10 @@ impl Outline {
 
     /// The part on one side of a line.
     fn cut(&self, axis: usize, at: f64, side: f64) -> Self {
-        let mut out = Self { corners: [[0.0; 2]; 8], count: 0 };
+        let mut out = Self {
+            corners: [[0.0; 2]; 8],
+            count: 0,
+        };
         let mut push = |p: [f64; 2]| {
             // A convex polygon gains one corner by a cut; rounding may make it seem to gain more.
             if let Some(slot) = out.corners.get_mut(out.count) {
@@ -168,7 +196,12 @@ impl Outline {
                 sum[k] += part * (pair[0][k] + pair[1][k] - 2.0 * first[k]);
             }
         }
-        (total != 0.0).then(|| (0.5 * total.abs(), [0, 1].map(|k| first[k] + sum[k] / (3.0 * total))))
+        (total != 0.0).then(|| {
+            (
+                0.5 * total.abs(),
+                [0, 1].map(|k| first[k] + sum[k] / (3.0 * total)),
+            )
+        })
     }
 }
 
@@ -180,17 +213,26 @@ mod tests {
     #[test]
     fn pieces_have_the_area_and_the_centre_of_the_triangle() {
         let flat = [[0.3, 7.9], [11.7, 2.2], [5.1, 0.4]];
-        let triangle = Triangle { v: flat.map(|[x, y]| Vec3::new(x as f32, 3.0, -y as f32)) };
+        let triangle = Triangle {
+            v: flat.map(|[x, y]| Vec3::new(x as f32, 3.0, -y as f32)),
+        };
         let pieces = of_triangle(&triangle, 7, 1.0, &flat, [12, 8]);
         let total: f64 = pieces.iter().map(|p| p.weight).sum();
         assert!((total - 0.5 * cross(&triangle).length()).abs() < 1e-9);
-        let centre = pieces.iter().map(|p| p.receiver.point * p.weight).sum::<glam::DVec3>() / total;
+        let centre = pieces
+            .iter()
+            .map(|p| p.receiver.point * p.weight)
+            .sum::<glam::DVec3>()
+            / total;
         let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
         assert!((centre - (a + b + c) / 3.0).length() < 1e-6);
         for p in &pieces {
             let (x, y) = (f64::from(p.texel % 12), f64::from(p.texel / 12));
             let at = p.receiver.point;
-            assert!((x - 1e-5..=x + 1.00001).contains(&at.x) && (y - 1e-5..=y + 1.00001).contains(&-at.z));
+            assert!(
+                (x - 1e-5..=x + 1.00001).contains(&at.x)
+                    && (y - 1e-5..=y + 1.00001).contains(&-at.z)
+            );
             assert!(p.weight <= 1.0 + 1e-6);
         }
     }

@@ -21,13 +21,20 @@ pub(crate) fn file_of(name: &str, scene: &Scene) -> Result<(File, Vec<Source>), 
     let mut sources = Vec::with_capacity(scene.objects().len());
     let mut nodes = 0u32;
     for object in scene.objects() {
-        sources.push(Source { node: nodes, mesh: nodes, primitive: 0, instance: None });
+        sources.push(Source {
+            node: nodes,
+            mesh: nodes,
+            primitive: 0,
+            instance: None,
+        });
         if object.count == 0 {
             continue;
         }
         // `Scene::new` checked that objects tile the triangles.
         let triangles = &scene.triangles()[object.first as usize..][..object.count as usize];
-        let bounds = triangles.iter().fold(Aabb::EMPTY, |b, t| b.union(t.bounds()));
+        let bounds = triangles
+            .iter()
+            .fold(Aabb::EMPTY, |b, t| b.union(t.bounds()));
         let bytes: Vec<u8> = triangles
             .iter()
             .flat_map(|t| t.v)
@@ -44,9 +51,16 @@ pub(crate) fn file_of(name: &str, scene: &Scene) -> Result<(File, Vec<Source>), 
             }),
         )?;
         let primitives = json!([{ "attributes": { "POSITION": accessor } }]);
-        file.push("meshes", json!({ "name": object.name, "primitives": primitives }))?;
+        file.push(
+            "meshes",
+            json!({ "name": object.name, "primitives": primitives }),
+        )?;
         let node = file.push("nodes", json!({ "name": object.name, "mesh": nodes }))?;
-        if let Some(list) = file.root.get_mut("scenes").and_then(|s| s[0]["nodes"].as_array_mut()) {
+        if let Some(list) = file
+            .root
+            .get_mut("scenes")
+            .and_then(|s| s[0]["nodes"].as_array_mut())
+        {
             list.push(json!(node));
         }
         nodes += 1;

@@ -42,7 +42,12 @@ pub struct Plan<'a> {
 #[derive(Debug)]
 enum Way {
     /// By texels: of each receiver the texel and the area.
-    Texture { atlas: Atlas, texels: Vec<u32>, weights: Vec<f64>, seams: Vec<Seam> },
+    Texture {
+        atlas: Atlas,
+        texels: Vec<u32>,
+        weights: Vec<f64>,
+        seams: Vec<Seam>,
+    },
     /// By vertices.
     Vertices(Unknowns),
 }
@@ -113,7 +118,9 @@ impl<'a> Plan<'a> {
         };
         let parts = Parts::of(&file, scene, &sources)?;
         let mut notes = Vec::new();
-        let too_many = || TexelsError::TooManyPoints { file: name.to_owned() };
+        let too_many = || TexelsError::TooManyPoints {
+            file: name.to_owned(),
+        };
         let (receivers, way): (Vec<Receiver>, Way) = match settings.target {
             Target::Texture => {
                 let atlas = atlas(&file, scene, &parts, settings, &mut notes)?;
@@ -127,12 +134,25 @@ impl<'a> Plan<'a> {
                 let both = scene.triangles().iter().zip(&atlas.triangles);
                 let thin = both.filter(|(t, flat)| thin(t, flat)).count();
                 if thin > 0 {
-                    notes.push(format!("{thin} triangles are too thin to have a place in the image"));
+                    notes.push(format!(
+                        "{thin} triangles are too thin to have a place in the image"
+                    ));
                 }
-                let Pieces { receivers, texels, weights } =
-                    pieces(scene, &parts, &atlas).ok_or_else(too_many)?;
+                let Pieces {
+                    receivers,
+                    texels,
+                    weights,
+                } = pieces(scene, &parts, &atlas).ok_or_else(too_many)?;
                 let seams = seams(scene, &parts, &atlas);
-                (receivers, Way::Texture { atlas, texels, weights, seams })
+                (
+                    receivers,
+                    Way::Texture {
+                        atlas,
+                        texels,
+                        weights,
+                        seams,
+                    },
+                )
             }
             Target::Vertices => {
                 let unknowns = Unknowns::of(&file, scene, &parts)?.ok_or_else(too_many)?;
@@ -140,9 +160,19 @@ impl<'a> Plan<'a> {
             }
         };
         if receivers.is_empty() {
-            return Err(TexelsError::NoTriangles { file: name.to_owned() });
+            return Err(TexelsError::NoTriangles {
+                file: name.to_owned(),
+            });
         }
-        Ok(Self { file, scene, parts, settings: *settings, receivers, way, notes })
+        Ok(Self {
+            file,
+            scene,
+            parts,
+            settings: *settings,
+            receivers,
+            way,
+            notes,
+        })
     }
 
     /// The points whose values are asked for.
@@ -171,12 +201,20 @@ impl<'a> Plan<'a> {
         let usable = |v: &&Value| v.inside || (0.0..=1.0).contains(&v.open);
         if values.len() != self.receivers.len() || !values.iter().all(|v| usable(&v)) {
             let values = values.iter().filter(usable).count();
-            return Err(TexelsError::Values { values, receivers: self.receivers.len() });
+            return Err(TexelsError::Values {
+                values,
+                receivers: self.receivers.len(),
+            });
         }
         let mut file = self.file.clone();
         let (mut facts, mut notes) = (Facts::default(), Vec::new());
         match &self.way {
-            Way::Texture { atlas, texels, weights, seams } => {
+            Way::Texture {
+                atlas,
+                texels,
+                weights,
+                seams,
+            } => {
                 let given = values.iter().zip(texels.iter().zip(weights));
                 let given = given.map(|(v, (texel, weight))| (*texel, *weight, v.open, v.inside));
                 let image = filled(Image::of(atlas.size, given), seams, &mut facts);
@@ -185,13 +223,25 @@ impl<'a> Plan<'a> {
                 let done = with_texture(&mut file, &self.parts, atlas, &png)?;
                 (facts.materials, facts.replaced) = (done.added, done.replaced);
                 if done.replaced > 0 {
-                    notes.push(format!("{} occlusion textures of the file were replaced", done.replaced));
+                    notes.push(format!(
+                        "{} occlusion textures of the file were replaced",
+                        done.replaced
+                    ));
                 }
             }
             Way::Vertices(unknowns) => {
-                let given: Vec<Option<f64>> = values.iter().map(|v| (!v.inside).then_some(v.open)).collect();
+                let given: Vec<Option<f64>> = values
+                    .iter()
+                    .map(|v| (!v.inside).then_some(v.open))
+                    .collect();
                 let fitted = fit::fit(self.scene, unknowns, &given);
-                let done = with_vertices(&mut file, &self.parts, unknowns, &fitted, self.settings.bits)?;
+                let done = with_vertices(
+                    &mut file,
+                    &self.parts,
+                    unknowns,
+                    &fitted,
+                    self.settings.bits,
+                )?;
                 (facts.vertices, facts.colors_kept) = (done.vertices, done.colors_kept);
                 if done.colors_kept > 0 {
                     notes.push(format!(
@@ -201,7 +251,11 @@ impl<'a> Plan<'a> {
                 }
             }
         }
-        Ok(Written { glb: file.into_glb()?, facts, notes })
+        Ok(Written {
+            glb: file.into_glb()?,
+            facts,
+            notes,
+        })
     }
 }
 
@@ -237,9 +291,13 @@ fn atlas(
     match Coordinates::read(file, scene, parts)? {
         Ok(coordinates) => {
             let atlas = coordinates.atlas(file, scene, parts, settings.size)?;
-            let moved = atlas.layouts.iter().any(|l| matches!(l, Layout::Moved { .. }));
+            let moved = atlas
+                .layouts
+                .iter()
+                .any(|l| matches!(l, Layout::Moved { .. }));
             notes.push(if moved {
-                "TEXCOORD_1 is used, moved so that parts have places of their own in one image".to_owned()
+                "TEXCOORD_1 is used, moved so that parts have places of their own in one image"
+                    .to_owned()
             } else {
                 "TEXCOORD_1 is used as it is".to_owned()
             });
@@ -247,10 +305,17 @@ fn atlas(
         }
         Err(why) if settings.coordinates == settings::Coordinates::Keep => {
             let (element, reason) = (why.element, why.reason);
-            Err(TexelsError::NotUsable { file: file.name.clone(), element, reason })
+            Err(TexelsError::NotUsable {
+                file: file.name.clone(),
+                element,
+                reason,
+            })
         }
         Err(why) => {
-            notes.push(format!("new texture coordinates are made: {}: {}", why.element, why.reason));
+            notes.push(format!(
+                "new texture coordinates are made: {}: {}",
+                why.element, why.reason
+            ));
             unwrap(file, scene, parts, settings.size)
         }
     }

@@ -14,7 +14,9 @@ use crate::parts::{Part, primitive_of, put_primitive};
 
 /// The attributes of a primitive.
 fn attributes(primitive: &mut Value) -> Option<&mut Map<String, Value>> {
-    primitive.get_mut("attributes").and_then(Value::as_object_mut)
+    primitive
+        .get_mut("attributes")
+        .and_then(Value::as_object_mut)
 }
 
 /// Gives a primitive its texture coordinates, and returns the number of the set.
@@ -29,13 +31,17 @@ pub(crate) fn with_coordinates(
 ) -> Result<usize, TexelsError> {
     let primitive = primitive_of(file, mesh, part.primitive);
     let mut primitive = primitive.cloned().unwrap_or(Value::Null);
-    let old = primitive.get("attributes").and_then(|a| member(a, "TEXCOORD_1"));
+    let old = primitive
+        .get("attributes")
+        .and_then(|a| member(a, "TEXCOORD_1"));
     let coordinates = match layout {
         Layout::Kept => return Ok(1),
         Layout::Moved { scale, offset } => {
             let moved: Vec<[f32; 2]> = {
                 let elements = Elements::read(file, old.unwrap_or(usize::MAX))?;
-                let uv = |v: usize| Layout::moved(*scale, *offset, [0, 1].map(|c| elements.number(v, c)));
+                let uv = |v: usize| {
+                    Layout::moved(*scale, *offset, [0, 1].map(|c| elements.number(v, c)))
+                };
                 (0..elements.count).map(uv).collect()
             };
             added::coordinates(file, &moved)?
@@ -51,7 +57,8 @@ pub(crate) fn with_coordinates(
             added::coordinates(file, &uv)?
         }
     };
-    let used = old.is_some() && numbers_of(&primitive).any(|m| uses_set(file.array("materials").get(m), 1));
+    let used = old.is_some()
+        && numbers_of(&primitive).any(|m| uses_set(file.array("materials").get(m), 1));
     let mut set = 1;
     if let Some(attributes) = attributes(&mut primitive) {
         while used && (set == 1 || attributes.contains_key(&format!("TEXCOORD_{set}"))) {
@@ -103,7 +110,9 @@ pub(crate) fn put_attribute(
     name: &str,
     accessor: usize,
 ) -> Result<(), TexelsError> {
-    let mut new = primitive_of(file, mesh, primitive).cloned().unwrap_or(Value::Null);
+    let mut new = primitive_of(file, mesh, primitive)
+        .cloned()
+        .unwrap_or(Value::Null);
     if let Some(attributes) = attributes(&mut new) {
         attributes.insert(name.to_owned(), json!(accessor));
     }

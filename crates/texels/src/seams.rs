@@ -49,7 +49,9 @@ pub(crate) fn seams(scene: &Scene, parts: &Parts, atlas: &Atlas) -> Vec<Seam> {
     pairs(&places(scene.triangles()))
         .iter()
         .filter(|[a, b]| in_image(a) && in_image(b) && normal(a).dot(normal(b)) > SMOOTH)
-        .map(|[a, b]| Seam { sides: [side(a), side(b)] })
+        .map(|[a, b]| Seam {
+            sides: [side(a), side(b)],
+        })
         .filter(|s| apart(s.sides[0][0], s.sides[1][0]) || apart(s.sides[0][1], s.sides[1][1]))
         .collect()
 }
@@ -72,8 +74,11 @@ pub(crate) fn close(image: &mut Image, seams: &[Seam]) {
         let (a, b) = (image.around(a), image.around(b).map(|(i, w)| (i, -w)));
         [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
     };
-    let mut rows: Vec<[(u32, f64); 8]> =
-        seams.iter().flat_map(points).map(|point| row(point, image)).collect();
+    let mut rows: Vec<[(u32, f64); 8]> = seams
+        .iter()
+        .flat_map(points)
+        .map(|point| row(point, image))
+        .collect();
     let mut texels: Vec<u32> = rows.iter().flatten().map(|(i, _)| *i).collect();
     texels.sort_unstable();
     texels.dedup();
@@ -82,17 +87,26 @@ pub(crate) fn close(image: &mut Image, seams: &[Seam]) {
         *i = texels.binary_search(i).unwrap_or(0) as u32;
     }
     let before: Vec<f64> = texels.iter().map(|i| image.values[*i as usize]).collect();
-    let cost = |i: &u32| if image.states[*i as usize] == State::Own { OWN } else { FILLED };
+    let cost = |i: &u32| {
+        if image.states[*i as usize] == State::Own {
+            OWN
+        } else {
+            FILLED
+        }
+    };
     let costs: Vec<f64> = texels.iter().map(cost).collect();
     let mut diagonal = costs.clone();
     for (i, w) in rows.iter().flatten() {
         diagonal[*i as usize] += w * w;
     }
     let apply = |v: &[f64], out: &mut [f64]| {
-        out.iter_mut().zip(v.iter().zip(&costs)).for_each(|(out, (v, c))| *out = v * c);
+        out.iter_mut()
+            .zip(v.iter().zip(&costs))
+            .for_each(|(out, (v, c))| *out = v * c);
         for row in &rows {
             let difference: f64 = row.iter().map(|(i, w)| w * v[*i as usize]).sum();
-            row.iter().for_each(|(i, w)| out[*i as usize] += w * difference);
+            row.iter()
+                .for_each(|(i, w)| out[*i as usize] += w * difference);
         }
     };
     let b: Vec<f64> = before.iter().zip(&costs).map(|(v, c)| v * c).collect();

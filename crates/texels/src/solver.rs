@@ -16,7 +16,10 @@ pub(crate) fn solve(
 ) {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let scaled = |r: &[f64]| -> Vec<f64> {
-        r.iter().zip(diagonal).map(|(r, d)| if *d > 0.0 { r / d } else { 0.0 }).collect()
+        r.iter()
+            .zip(diagonal)
+            .map(|(r, d)| if *d > 0.0 { r / d } else { 0.0 })
+            .collect()
     };
     let mut product = vec![0.0; x.len()];
     apply(x, &mut product);

@@ -23,32 +23,68 @@ use crate::welds::cross;
 const SMALL: f64 = 262_144.0;
 
 /// New texture coordinates for all parts.
-pub(crate) fn unwrap(file: &File, scene: &Scene, parts: &Parts, size: Size) -> Result<Atlas, TexelsError> {
-    let area: f64 = scene.triangles().iter().map(|t| 0.5 * cross(t).length()).sum();
+pub(crate) fn unwrap(
+    file: &File,
+    scene: &Scene,
+    parts: &Parts,
+    size: Size,
+) -> Result<Atlas, TexelsError> {
+    let area: f64 = scene
+        .triangles()
+        .iter()
+        .map(|t| 0.5 * cross(t).length())
+        .sum();
     if area == 0.0 {
-        return Err(TexelsError::NoTriangles { file: file.name.clone() });
+        return Err(TexelsError::NoTriangles {
+            file: file.name.clone(),
+        });
     }
     if let Size::Texel(texel) = size {
         let texels = area / (texel * texel);
         // Not a number where the size of a texel is next to nothing.
         if texels.partial_cmp(&f64::from(MOST_SIDE).powi(2)) != Some(std::cmp::Ordering::Less) {
-            return Err(TexelsError::TooManyTexels { file: file.name.clone(), texels });
+            return Err(TexelsError::TooManyTexels {
+                file: file.name.clone(),
+                texels,
+            });
         }
     }
     let factor = factor(scene);
-    let inputs: Vec<Input> = parts.all.iter().map(|part| Input::of(scene, part, factor)).collect();
-    let meshes: Vec<MeshInput<'_>> =
-        inputs.iter().map(|i| MeshInput::new(&i.positions, &i.indices)).collect();
+    let inputs: Vec<Input> = parts
+        .all
+        .iter()
+        .map(|part| Input::of(scene, part, factor))
+        .collect();
+    let meshes: Vec<MeshInput<'_>> = inputs
+        .iter()
+        .map(|i| MeshInput::new(&i.positions, &i.indices))
+        .collect();
     let texels_per_unit = ((SMALL / area).sqrt() / f64::from(factor)) as f32;
-    let density = Density::Fixed { texels_per_unit, page_size: None };
-    let options = Options { density, padding: 0, packing: Packing::Fast, ..Options::default() };
-    let made = uvunwrap::generate(&meshes, &options).map_err(|e| file.broken("geometry", e.to_string()))?;
+    let density = Density::Fixed {
+        texels_per_unit,
+        page_size: None,
+    };
+    let options = Options {
+        density,
+        padding: 0,
+        packing: Packing::Fast,
+        ..Options::default()
+    };
+    let made = uvunwrap::generate(&meshes, &options)
+        .map_err(|e| file.broken("geometry", e.to_string()))?;
     let per_unit = f64::from(made.texels_per_unit) * f64::from(factor);
     let page = [made.width, made.height].map(|n| f64::from(n) / per_unit);
     let charts = charts(&made.meshes, page, made.chart_count as usize);
     let sizes: Vec<[f64; 2]> = charts.iter().map(Chart::size).collect();
     let packed = pack(&file.name, &sizes, size)?;
-    Ok(atlas(scene, parts, &made.meshes, (&charts, page), &packed, &inputs))
+    Ok(atlas(
+        scene,
+        parts,
+        &made.meshes,
+        (&charts, page),
+        &packed,
+        &inputs,
+    ))
 }
 
 /// A part's geometry for the crate.
@@ -76,7 +112,11 @@ impl Input {
                 positions[*i as usize] = (*v * factor + Vec3::ZERO).to_array();
             }
         }
-        Self { used, positions, indices }
+        Self {
+            used,
+            positions,
+            indices,
+        }
     }
 }
 
@@ -121,7 +161,13 @@ fn on_page(uv: [f32; 2], page: [f64; 2]) -> [f64; 2] {
 
 /// The boxes of all charts.
 fn charts(meshes: &[OutputMesh], page: [f64; 2], count: usize) -> Vec<Chart> {
-    let mut all = vec![Chart { min: [f64::INFINITY; 2], max: [f64::NEG_INFINITY; 2] }; count];
+    let mut all = vec![
+        Chart {
+            min: [f64::INFINITY; 2],
+            max: [f64::NEG_INFINITY; 2]
+        };
+        count
+    ];
     for vertex in meshes.iter().flat_map(|m| &m.vertices) {
         if let Some(chart) = vertex.chart.and_then(|c| all.get_mut(c as usize)) {
             let at = on_page(vertex.uv, page);
@@ -145,13 +191,18 @@ fn atlas(
     let mut layouts = Vec::with_capacity(parts.all.len());
     for ((part, mesh), input) in parts.all.iter().zip(meshes).zip(inputs) {
         let placed = |chart: Option<u32>, uv: [f32; 2]| -> [f32; 2] {
-            let Some(c) = chart.map(|c| c as usize) else { return [0.0; 2] };
+            let Some(c) = chart.map(|c| c as usize) else {
+                return [0.0; 2];
+            };
             let local = charts[c].local(on_page(uv, page));
             let texel = |k: usize| f64::from(packed.at[c][k]) + local[k] * packed.per_unit;
             [0, 1].map(|k| (texel(k) / f64::from(packed.size[k])).clamp(0.0, 1.0) as f32)
         };
-        let vertices: Vec<(u32, [f32; 2])> =
-            mesh.vertices.iter().map(|v| (input.used[v.xref as usize], placed(v.chart, v.uv))).collect();
+        let vertices: Vec<(u32, [f32; 2])> = mesh
+            .vertices
+            .iter()
+            .map(|v| (input.used[v.xref as usize], placed(v.chart, v.uv)))
+            .collect();
         let corners = mesh.indices.as_chunks::<3>().0.to_vec();
         let own = &mut triangles[part.first as usize..][..corners.len()];
         for (t, at) in own.iter_mut().zip(&corners) {
@@ -159,5 +210,11 @@ fn atlas(
         }
         layouts.push(Layout::New { vertices, corners });
     }
-    Atlas { size: packed.size, triangles, layouts, charts: charts.len() as u32, gap: packed.gap }
+    Atlas {
+        size: packed.size,
+        triangles,
+        layouts,
+        charts: charts.len() as u32,
+        gap: packed.gap,
+    }
 }

@@ -50,17 +50,23 @@ const MOST_VERTICES: u64 = 1 << 28;
 
 impl Unknowns {
     /// The unknowns of the parts of a file; none if there are too many vertices.
-    pub(crate) fn of(file: &File, scene: &Scene, parts: &Parts) -> Result<Option<Self>, TexelsError> {
+    pub(crate) fn of(
+        file: &File,
+        scene: &Scene,
+        parts: &Parts,
+    ) -> Result<Option<Self>, TexelsError> {
         let places = places(scene.triangles());
         let mut numbers: BTreeMap<(usize, usize), usize> = BTreeMap::new();
         let (mut keys, mut set_of): (Vec<Vec<Option<Key>>>, Vec<usize>) = (Vec::new(), Vec::new());
         let mut total = 0u64;
         for part in &parts.all {
             let mut new = false;
-            let set = *numbers.entry((part.draw, part.positions)).or_insert_with(|| {
-                new = true;
-                keys.len()
-            });
+            let set = *numbers
+                .entry((part.draw, part.positions))
+                .or_insert_with(|| {
+                    new = true;
+                    keys.len()
+                });
             if new {
                 total += u64::from(part.vertices);
                 if total > MOST_VERTICES {
@@ -75,8 +81,8 @@ impl Unknowns {
                     let slot = &mut keys[set][*vertex as usize];
                     let key = || match &normals {
                         Some(n) => {
-                            let normal =
-                                [0, 1, 2].map(|c| (n.number(*vertex as usize, c) as f32 + 0.0).to_bits());
+                            let normal = [0, 1, 2]
+                                .map(|c| (n.number(*vertex as usize, c) as f32 + 0.0).to_bits());
                             (part.draw, *place, normal, true)
                         }
                         None => (set, *vertex, [0; 3], false),
@@ -88,10 +94,15 @@ impl Unknowns {
         let mut all: Vec<Key> = keys.iter().flatten().flatten().copied().collect();
         all.sort_unstable();
         all.dedup();
-        let number =
-            |key: &Option<Key>| key.map_or(NONE, |k| all.binary_search(&k).map_or(NONE, |i| i as u32));
-        let sets: Vec<Set> =
-            keys.par_iter().map(|k| Set { unknowns: k.iter().map(number).collect() }).collect();
+        let number = |key: &Option<Key>| {
+            key.map_or(NONE, |k| all.binary_search(&k).map_or(NONE, |i| i as u32))
+        };
+        let sets: Vec<Set> = keys
+            .par_iter()
+            .map(|k| Set {
+                unknowns: k.iter().map(number).collect(),
+            })
+            .collect();
         let mut corners = vec![[0; 3]; scene.len() as usize];
         for (part, set) in parts.all.iter().zip(&set_of) {
             for (to, vertices) in corners[part.first as usize..].iter_mut().zip(&part.corners) {
@@ -99,12 +110,19 @@ impl Unknowns {
             }
         }
         let divisions = divisions(scene);
-        Ok(Some(Self { count: all.len(), corners, sets, set_of, divisions }))
+        Ok(Some(Self {
+            count: all.len(),
+            corners,
+            sets,
+            set_of,
+            divisions,
+        }))
     }
 
     /// The receivers of all triangles, in their order.
     pub(crate) fn receivers(&self, scene: &Scene, parts: &Parts) -> Vec<Receiver> {
-        let mut all = Vec::with_capacity(self.divisions.iter().map(|k| usize::from(*k).pow(2)).sum());
+        let mut all =
+            Vec::with_capacity(self.divisions.iter().map(|k| usize::from(*k).pow(2)).sum());
         for part in &parts.all {
             for id in part.first..part.first + part.corners.len() as u32 {
                 let triangle = &scene.triangles()[id as usize];
@@ -112,7 +130,11 @@ impl Unknowns {
                 let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
                 let at = |[x, y, z]: [f64; 3]| -> DVec3 { a * x + b * y + c * z };
                 let points = samples(self.divisions[id as usize]);
-                all.extend(points.map(|w| Receiver { point: at(w), normal, triangle: id }));
+                all.extend(points.map(|w| Receiver {
+                    point: at(w),
+                    normal,
+                    triangle: id,
+                }));
             }
         }
         all
@@ -120,22 +142,41 @@ impl Unknowns {
 }
 
 /// The normals of a part's vertices, if it has some.
-fn normals<'a>(file: &'a File, parts: &Parts, part: &Part) -> Result<Option<Elements<'a>>, TexelsError> {
+fn normals<'a>(
+    file: &'a File,
+    parts: &Parts,
+    part: &Part,
+) -> Result<Option<Elements<'a>>, TexelsError> {
     let primitive = primitive_of(file, parts.draws[part.draw].mesh, part.primitive);
-    let accessor = primitive.and_then(|p| p.get("attributes")).and_then(|a| member(a, "NORMAL"));
-    let Some(accessor) = accessor else { return Ok(None) };
+    let accessor = primitive
+        .and_then(|p| p.get("attributes"))
+        .and_then(|a| member(a, "NORMAL"));
+    let Some(accessor) = accessor else {
+        return Ok(None);
+    };
     let elements = Elements::read(file, accessor)?;
     Ok(Some(elements).filter(|e| e.components == 3))
 }
 
 /// Four receivers for a triangle at the least, more for those larger than the mean; none without an area.
 fn divisions(scene: &Scene) -> Vec<u8> {
-    let areas: Vec<f64> = scene.triangles().iter().map(|t| cross(t).length()).collect();
+    let areas: Vec<f64> = scene
+        .triangles()
+        .iter()
+        .map(|t| cross(t).length())
+        .collect();
     let mean = areas.iter().sum::<f64>() / areas.len().max(1) as f64;
-    let degenerate = scene.triangles().par_iter().map(sightline_scene::Triangle::is_degenerate);
+    let degenerate = scene
+        .triangles()
+        .par_iter()
+        .map(sightline_scene::Triangle::is_degenerate);
     let flat: Vec<bool> = degenerate.collect();
     let of = |(area, flat): (&f64, bool)| {
-        if flat || *area == 0.0 { 0 } else { (4.0 * area / mean).sqrt().ceil().clamp(2.0, 8.0) as u8 }
+        if flat || *area == 0.0 {
+            0
+        } else {
+            (4.0 * area / mean).sqrt().ceil().clamp(2.0, 8.0) as u8
+        }
     };
     areas.iter().zip(flat).map(of).collect()
 }
@@ -147,10 +188,13 @@ pub(crate) fn samples(k: u8) -> impl Iterator<Item = [f64; 3]> {
         (0..k - i).flat_map(move |j| {
             // A part like the whole, and where there is room the one beside it, turned over.
             let turned = i + j + 1 < k;
-            [(1.0 / 3.0, true), (2.0 / 3.0, turned)].into_iter().filter(|s| s.1).map(move |(shift, _)| {
-                let (second, third) = ((f64::from(i) + shift) / n, (f64::from(j) + shift) / n);
-                [1.0 - second - third, second, third]
-            })
+            [(1.0 / 3.0, true), (2.0 / 3.0, turned)]
+                .into_iter()
+                .filter(|s| s.1)
+                .map(move |(shift, _)| {
+                    let (second, third) = ((f64::from(i) + shift) / n, (f64::from(j) + shift) / n);
+                    [1.0 - second - third, second, third]
+                })
         })
     })
 }

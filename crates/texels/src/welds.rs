@@ -42,9 +42,19 @@ pub(crate) fn pairs(places: &[[u32; 3]]) -> Vec<[Edge; 2]> {
         for (from, to) in [(0u8, 1u8), (1, 2), (2, 0)] {
             let ends = [at[usize::from(from)], at[usize::from(to)]];
             if ends[0] < ends[1] {
-                edges.push(Edge { ends, triangle, from, to });
+                edges.push(Edge {
+                    ends,
+                    triangle,
+                    from,
+                    to,
+                });
             } else if ends[0] > ends[1] {
-                edges.push(Edge { ends: [ends[1], ends[0]], triangle, from: to, to: from });
+                edges.push(Edge {
+                    ends: [ends[1], ends[0]],
+                    triangle,
+                    from: to,
+                    to: from,
+                });
             }
         }
     }

@@ -41,7 +41,11 @@ pub(crate) fn with_texture(
     for (part, layout) in parts.all.iter().zip(&atlas.layouts) {
         let mesh = meshes[part.draw];
         let set = with_coordinates(file, mesh, part, layout)?;
-        uses.push(Use { mesh, primitive: part.primitive, set });
+        uses.push(Use {
+            mesh,
+            primitive: part.primitive,
+            set,
+        });
     }
     assign(file, &uses, texture)
 }
@@ -71,7 +75,13 @@ pub(crate) fn with_vertices(
     for (part, set) in parts.all.iter().zip(&unknowns.set_of) {
         let at = (meshes[part.draw], part.primitive);
         // Vertices of no triangle are in the open.
-        let of = |u: &u32| if *u == NONE { 1.0 } else { values[*u as usize] as f32 };
+        let of = |u: &u32| {
+            if *u == NONE {
+                1.0
+            } else {
+                values[*u as usize] as f32
+            }
+        };
         let own = || -> Vec<f32> { unknowns.sets[*set].unknowns.iter().map(of).collect() };
         let accessor = match accessors.get(set) {
             Some(known) => *known,
@@ -81,8 +91,8 @@ pub(crate) fn with_vertices(
             }
         };
         accessors.insert(*set, accessor);
-        let colored =
-            primitive_of(file, at.0, at.1).is_some_and(|p| p["attributes"].get("COLOR_0").is_some());
+        let colored = primitive_of(file, at.0, at.1)
+            .is_some_and(|p| p["attributes"].get("COLOR_0").is_some());
         put_attribute(file, at, "_OCCLUSION", accessor)?;
         if colored {
             done.colors_kept += 1;

@@ -14,7 +14,10 @@ const TEXTURE: Settings = Settings {
     coordinates: Coordinates::Any,
     bits: sightline_texels::Bits::Eight,
 };
-const VERTICES: Settings = Settings { target: Target::Vertices, ..TEXTURE };
+const VERTICES: Settings = Settings {
+    target: Target::Vertices,
+    ..TEXTURE
+};
 
 /// Two nodes with one mesh, and all that a file may have besides.
 fn rich() -> Maker {
@@ -28,10 +31,15 @@ fn rich() -> Maker {
     primitive["material"] = json!(paint);
     primitive["extras"] = json!({ "of": "primitive" });
     let lines = json!({ "attributes": primitive["attributes"], "mode": 1, "material": paint });
-    let mesh = maker.push("meshes", json!({ "name": "box", "primitives": [primitive, lines], "extras": 7 }));
+    let mesh = maker.push(
+        "meshes",
+        json!({ "name": "box", "primitives": [primitive, lines], "extras": 7 }),
+    );
     let first = maker.node(json!({ "name": "left", "mesh": mesh, "extras": { "tag": "a" } }));
     let hidden = json!({ "KHR_node_visibility": { "visible": false } });
-    maker.node(json!({ "name": "right", "mesh": mesh, "translation": [3, 0, 0], "extensions": hidden }));
+    maker.node(
+        json!({ "name": "right", "mesh": mesh, "translation": [3, 0, 0], "extensions": hidden }),
+    );
     let times = maker.floats("SCALAR", &[0.0, 1.0]);
     let moves = maker.floats("VEC3", &[0., 0., 0., 0., 1., 0.]);
     maker.push(
@@ -39,7 +47,10 @@ fn rich() -> Maker {
         json!({ "name": "up", "samplers": [{ "input": times, "output": moves }],
                 "channels": [{ "sampler": 0, "target": { "node": first, "path": "translation" } }] }),
     );
-    maker.push("cameras", json!({ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }));
+    maker.push(
+        "cameras",
+        json!({ "type": "perspective", "perspective": { "yfov": 1.0, "znear": 0.1 } }),
+    );
     maker.json["extensionsUsed"] = json!(["EXAMPLE_thing", "KHR_node_visibility"]);
     maker.json["extensions"] = json!({ "EXAMPLE_thing": { "deep": [{ "er": null }] } });
     maker.json["extras"] = json!("of the file");
@@ -52,9 +63,16 @@ fn everything_else_stays() {
     for settings in [TEXTURE, VERTICES] {
         let made = written(&maker.glb(), &settings, |p, _| p.x / 4.0);
         let json = Read::new(&made.glb).json;
-        for key in
-            ["animations", "cameras", "extensionsUsed", "extensions", "extras", "asset", "scene", "scenes"]
-        {
+        for key in [
+            "animations",
+            "cameras",
+            "extensionsUsed",
+            "extensions",
+            "extras",
+            "asset",
+            "scene",
+            "scenes",
+        ] {
             assert_eq!(json[key], maker.json[key], "{key}");
         }
         for (n, node) in maker.json["nodes"].as_array().unwrap().iter().enumerate() {
@@ -66,8 +84,14 @@ fn everything_else_stays() {
         assert_eq!(json["meshes"].as_array().unwrap().len(), 2);
         for mesh in json["meshes"].as_array().unwrap() {
             assert_eq!((&mesh["name"], &mesh["extras"]), (&json!("box"), &json!(7)));
-            assert_eq!(mesh["primitives"][0]["extras"], json!({ "of": "primitive" }));
-            assert_eq!(mesh["primitives"][1], maker.json["meshes"][0]["primitives"][1]);
+            assert_eq!(
+                mesh["primitives"][0]["extras"],
+                json!({ "of": "primitive" })
+            );
+            assert_eq!(
+                mesh["primitives"][1],
+                maker.json["meshes"][0]["primitives"][1]
+            );
         }
         assert_eq!(json["materials"][0], maker.json["materials"][0]);
         let materials = json["materials"].as_array().unwrap();
@@ -90,10 +114,16 @@ fn nodes_with_one_mesh_have_values_of_their_own() {
     let glb = rich().glb();
     let read = Read::new(&written(&glb, &VERTICES, |p, _| p.x / 4.0).glb);
     for (mesh, shift) in [(0, 0.0), (1, 3.0)] {
-        let (at, values) = (read.attribute(mesh, 0, "POSITION"), read.attribute(mesh, 0, "_OCCLUSION"));
+        let (at, values) = (
+            read.attribute(mesh, 0, "POSITION"),
+            read.attribute(mesh, 0, "_OCCLUSION"),
+        );
         assert_eq!(values.len(), 8);
         for (at, value) in at.chunks(3).zip(values) {
-            assert!((value - (at[0] + shift) / 4.0).abs() < 0.02, "{mesh} {at:?} {value}");
+            assert!(
+                (value - (at[0] + shift) / 4.0).abs() < 0.02,
+                "{mesh} {at:?} {value}"
+            );
         }
     }
     let read = Read::new(&written(&glb, &TEXTURE, |p, _| if p.x < 2.0 { 0.25 } else { 0.75 }).glb);
@@ -114,7 +144,10 @@ fn coordinates_that_lie_upon_each_other_are_moved_apart() {
     let attributes = json!({ "POSITION": positions, "TEXCOORD_0": uv, "TEXCOORD_1": uv });
     // The second set is in use by a texture: it stays, and a third one is made.
     let lightmap = json!({ "emissiveTexture": { "index": 0, "texCoord": 1 } });
-    maker.push("images", json!({ "uri": "data:image/png;base64,iVBORw0KGgo=" }));
+    maker.push(
+        "images",
+        json!({ "uri": "data:image/png;base64,iVBORw0KGgo=" }),
+    );
     maker.push("textures", json!({ "source": 0 }));
     let material = maker.push("materials", lightmap);
     let primitive = json!({ "attributes": attributes, "indices": indices, "material": material });
@@ -125,9 +158,15 @@ fn coordinates_that_lie_upon_each_other_are_moved_apart() {
     maker.node(json!({ "mesh": mesh }));
     maker.node(json!({ "mesh": mesh, "translation": [0, 0, 5], "scale": [3, 3, 3] }));
     maker.node(json!({ "mesh": other, "translation": [0, 0, 9] }));
-    let settings = Settings { coordinates: Coordinates::Keep, ..TEXTURE };
+    let settings = Settings {
+        coordinates: Coordinates::Keep,
+        ..TEXTURE
+    };
     let made = written(&maker.glb(), &settings, |p, _| p.z / 10.0);
-    assert_eq!((made.facts.moved, made.facts.kept, made.facts.unwrapped), (3, 0, 0));
+    assert_eq!(
+        (made.facts.moved, made.facts.kept, made.facts.unwrapped),
+        (3, 0, 0)
+    );
     let read = Read::new(&made.glb);
     let image = read.image();
     for (mesh, value, set) in [(0, 0.0, 2), (2, 0.5, 2), (1, 0.9, 1)] {
@@ -135,15 +174,26 @@ fn coordinates_that_lie_upon_each_other_are_moved_apart() {
             assert!((image.at(*uv) - value).abs() < 0.01, "{mesh} {uv:?}");
         }
         let material = read.primitive(mesh, 0)["material"].as_u64().unwrap() as usize;
-        assert_eq!(read.json["materials"][material]["occlusionTexture"]["texCoord"], set);
+        assert_eq!(
+            read.json["materials"][material]["occlusionTexture"]["texCoord"],
+            set
+        );
     }
-    assert_eq!(read.attribute(0, 0, "TEXCOORD_1"), [0., 0., 1., 0., 0., 1., 1., 1.]);
+    assert_eq!(
+        read.attribute(0, 0, "TEXCOORD_1"),
+        [0., 0., 1., 0., 0., 1., 1., 1.]
+    );
     // The larger square has three times as many texels a side.
     let side = |mesh: usize| {
         let uv = read.coordinates(mesh, 0);
         (uv[0][1][0] - uv[0][0][0]) * image.width as f64
     };
-    assert!((side(2) / side(0) - 3.0).abs() < 0.5, "{} {}", side(2), side(0));
+    assert!(
+        (side(2) / side(0) - 3.0).abs() < 0.5,
+        "{} {}",
+        side(2),
+        side(0)
+    );
     assert_eq!(read.json["images"][0], maker.json["images"][0]);
 }
 
@@ -157,7 +207,9 @@ fn instances_become_nodes() {
     let child = maker.push("nodes", json!({ "mesh": mesh, "translation": [0, 0, 7] }));
     let attributes = json!({ "TRANSLATION": offsets, "SCALE": scales });
     let extensions = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
-    maker.node(json!({ "name": "row", "mesh": mesh, "extensions": extensions, "children": [child] }));
+    maker.node(
+        json!({ "name": "row", "mesh": mesh, "extensions": extensions, "children": [child] }),
+    );
     maker.json["extensionsUsed"] = json!(["EXT_mesh_gpu_instancing"]);
     maker.json["extensionsRequired"] = json!(["EXT_mesh_gpu_instancing"]);
     let glb = maker.glb();
@@ -174,11 +226,19 @@ fn instances_become_nodes() {
     let scene = scene(&glb);
     let plan = Plan::new("test.glb", &glb, None, &scene, &TEXTURE).unwrap();
     for r in plan.receivers() {
-        let object =
-            scene.objects().iter().find(|o| (o.first..o.first + o.count).contains(&r.triangle)).unwrap();
+        let object = scene
+            .objects()
+            .iter()
+            .find(|o| (o.first..o.first + o.count).contains(&r.triangle))
+            .unwrap();
         let own = &scene.triangles()[object.first as usize..][..object.count as usize];
-        let middle =
-            own.iter().flat_map(|t| t.v).map(|v| v.as_dvec3()).sum::<glam::DVec3>() / own.len() as f64 / 3.0;
+        let middle = own
+            .iter()
+            .flat_map(|t| t.v)
+            .map(|v| v.as_dvec3())
+            .sum::<glam::DVec3>()
+            / own.len() as f64
+            / 3.0;
         assert!(r.normal.dot(r.point - middle) > 0.0);
     }
 }
@@ -186,10 +246,18 @@ fn instances_become_nodes() {
 #[test]
 fn strips_fans_targets_and_small_types_survive_new_vertices() {
     let mut maker = Maker::new();
-    let positions = maker.floats("VEC3", &[0., 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 1., 0., 2., 0.]);
+    let positions = maker.floats(
+        "VEC3",
+        &[0., 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 1., 0., 2., 0.],
+    );
     let targets = maker.floats("VEC3", &[0.5; 15]);
     // Colours of three bytes, four bytes apart.
-    let colors = maker.floats("SCALAR", &(0..5).map(|i| f32::from_bits(0x0102_0300 + i)).collect::<Vec<_>>());
+    let colors = maker.floats(
+        "SCALAR",
+        &(0..5)
+            .map(|i| f32::from_bits(0x0102_0300 + i))
+            .collect::<Vec<_>>(),
+    );
     maker.json["bufferViews"][colors]["byteStride"] = json!(4);
     maker.json["accessors"][colors] = json!({
         "bufferView": colors, "componentType": 5121, "normalized": true, "count": 5, "type": "VEC3",
@@ -198,17 +266,29 @@ fn strips_fans_targets_and_small_types_survive_new_vertices() {
     let primitives: Vec<Json> = [5, 6]
         .map(|mode| json!({ "attributes": attributes, "mode": mode, "targets": [{ "POSITION": targets }] }))
         .to_vec();
-    let mesh = maker.push("meshes", json!({ "primitives": primitives, "weights": [0.5] }));
+    let mesh = maker.push(
+        "meshes",
+        json!({ "primitives": primitives, "weights": [0.5] }),
+    );
     maker.node(json!({ "mesh": mesh }));
     let made = written(&maker.glb(), &TEXTURE, |_, _| 0.5);
     let read = Read::new(&made.glb);
     for p in 0..2 {
         let primitive = read.primitive(0, p);
         assert_eq!(primitive["mode"], 4);
-        let (at, colors) = (read.attribute(0, p, "POSITION"), read.attribute(0, p, "COLOR_0"));
+        let (at, colors) = (
+            read.attribute(0, p, "POSITION"),
+            read.attribute(0, p, "COLOR_0"),
+        );
         let target = read.accessor(primitive["targets"][0]["POSITION"].as_u64().unwrap() as usize);
         assert!(at.len() >= 15 && colors.len() == at.len() && target == vec![0.5; at.len()]);
-        let original = [[0., 0., 0.], [1., 0., 0.], [0., 1., 0.], [1., 1., 1.], [0., 2., 0.]];
+        let original = [
+            [0., 0., 0.],
+            [1., 0., 0.],
+            [0., 1., 0.],
+            [1., 1., 1.],
+            [0., 2., 0.],
+        ];
         for (at, color) in at.chunks(3).zip(colors.chunks(3)) {
             let i = original.iter().position(|o| o == at).unwrap();
             assert_eq!(color, [i as f64, 3.0, 2.0]);
@@ -220,13 +300,19 @@ fn strips_fans_targets_and_small_types_survive_new_vertices() {
 fn materials_that_vary_get_the_texture_too() {
     let mut maker = Maker::new();
     let (positions, indices) = add_cube(&mut maker);
-    let old =
-        maker.push("materials", json!({ "name": "a", "occlusionTexture": { "index": 0, "strength": 0.5 } }));
+    let old = maker.push(
+        "materials",
+        json!({ "name": "a", "occlusionTexture": { "index": 0, "strength": 0.5 } }),
+    );
     let other = maker.push("materials", json!({ "name": "b" }));
     let unused = maker.push("materials", json!({ "name": "c" }));
-    maker.push("images", json!({ "uri": "data:image/png;base64,iVBORw0KGgo=" }));
+    maker.push(
+        "images",
+        json!({ "uri": "data:image/png;base64,iVBORw0KGgo=" }),
+    );
     maker.push("textures", json!({ "source": 0 }));
-    let mappings = json!([{ "material": other, "variants": [0] }, { "material": old, "variants": [1] }]);
+    let mappings =
+        json!([{ "material": other, "variants": [0] }, { "material": old, "variants": [1] }]);
     let primitive = json!({
         "attributes": { "POSITION": positions }, "indices": indices, "material": old,
         "extensions": { "KHR_materials_variants": { "mappings": mappings } },
@@ -234,10 +320,16 @@ fn materials_that_vary_get_the_texture_too() {
     let mesh = maker.mesh(primitive);
     maker.node(json!({ "mesh": mesh }));
     let made = written(&maker.glb(), &TEXTURE, |_, _| 0.5);
-    assert_eq!((made.facts.materials, made.facts.replaced, made.notes.len()), (0, 1, 1));
+    assert_eq!(
+        (made.facts.materials, made.facts.replaced, made.notes.len()),
+        (0, 1, 1)
+    );
     let json = Read::new(&made.glb).json;
     for (material, index) in [(old, json!(1)), (other, json!(1)), (unused, Json::Null)] {
-        assert_eq!(json["materials"][material]["occlusionTexture"]["index"], index);
+        assert_eq!(
+            json["materials"][material]["occlusionTexture"]["index"],
+            index
+        );
     }
     assert_eq!(
         json["meshes"][0]["primitives"][0]["extensions"]["KHR_materials_variants"]["mappings"],
@@ -257,27 +349,47 @@ fn files_beside_it_are_put_inside() {
     std::fs::write(folder.path().join("a b.png"), image).unwrap();
     std::fs::write(folder.path().join("cube.bin"), &Read::new(&glb).bytes).unwrap();
     let mut json = maker.json.clone();
-    json["buffers"] =
-        json!([{ "uri": "cube.bin", "byteLength": Read::new(&glb).bytes.len(), "name": "of cubes" }]);
+    let length = Read::new(&glb).bytes.len();
+    json["buffers"] = json!([{ "uri": "cube.bin", "byteLength": length, "name": "of cubes" }]);
     json["images"] = json!([{ "uri": "a%20b.png", "name": "picture" }]);
     let text = serde_json::to_vec(&json).unwrap();
     let scene = sightline_scene::load_bytes("cube.gltf", &text, Some(folder.path())).unwrap();
     let plan = Plan::new("cube.gltf", &text, Some(folder.path()), &scene, &TEXTURE).unwrap();
-    let values = vec![Value { open: 0.5, inside: false }; plan.receivers().len()];
+    let values = vec![
+        Value {
+            open: 0.5,
+            inside: false
+        };
+        plan.receivers().len()
+    ];
     let made = plan.write(&values).unwrap();
     let read = Read::new(&made.glb);
-    assert_eq!(read.view(read.json["images"][0]["bufferView"].as_u64().unwrap() as usize), image);
     assert_eq!(
-        (&read.json["images"][0]["mimeType"], &read.json["images"][0]["name"]),
+        read.view(read.json["images"][0]["bufferView"].as_u64().unwrap() as usize),
+        image
+    );
+    assert_eq!(
+        (
+            &read.json["images"][0]["mimeType"],
+            &read.json["images"][0]["name"]
+        ),
         (&json!("image/png"), &json!("picture"))
     );
     assert_eq!(read.json["buffers"][0]["name"], "of cubes");
     assert!(
-        sightline_scene::load_bytes("out.glb", &made.glb, None).unwrap().triangles() == scene.triangles()
+        sightline_scene::load_bytes("out.glb", &made.glb, None)
+            .unwrap()
+            .triangles()
+            == scene.triangles()
     );
     // Without the image the file is not whole.
     std::fs::remove_file(folder.path().join("a b.png")).unwrap();
-    assert!(plan.write(&values).unwrap_err().to_string().contains("image 0"));
+    assert!(
+        plan.write(&values)
+            .unwrap_err()
+            .to_string()
+            .contains("image 0")
+    );
 }
 
 #[test]
@@ -287,10 +399,19 @@ fn other_files_become_gltf() {
     let scene = sightline_scene::load_bytes("floor.obj", text.as_bytes(), None).unwrap();
     for settings in [TEXTURE, VERTICES] {
         let plan = Plan::new("floor.obj", text.as_bytes(), None, &scene, &settings).unwrap();
-        let values = vec![Value { open: 0.5, inside: false }; plan.receivers().len()];
+        let values = vec![
+            Value {
+                open: 0.5,
+                inside: false
+            };
+            plan.receivers().len()
+        ];
         let made = plan.write(&values).unwrap();
         let again = sightline_scene::load_bytes("out.glb", &made.glb, None).unwrap();
         assert!(again.triangles() == scene.triangles());
-        assert_eq!(Read::new(&made.glb).json["meshes"][0]["name"], scene.objects()[0].name.as_str());
+        assert_eq!(
+            Read::new(&made.glb).json["meshes"][0]["name"],
+            scene.objects()[0].name.as_str()
+        );
     }
 }

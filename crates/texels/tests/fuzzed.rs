@@ -45,7 +45,8 @@ struct Random(u64);
 impl Random {
     /// Creates the generator of a seed. `SIGHTLINE_FUZZ_SEED` selects other sequences.
     fn new(seed: u64) -> Self {
-        let other = std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
+        let other =
+            std::env::var("SIGHTLINE_FUZZ_SEED").map_or(0, |text| text.parse().expect("a number"));
         Self(seed.wrapping_add(0x9e37_79b9_7f4a_7c15u64.wrapping_mul(other)))
     }
 
@@ -60,7 +61,10 @@ impl Random {
 /// Changes a GLB. The lengths in its header are mended, for else hardly any change would be looked at.
 fn mutate(r: &mut Random, glb: &[u8]) -> Vec<u8> {
     let word = |at: usize| u32::from_le_bytes(glb[at..at + 4].try_into().unwrap()) as usize;
-    let (mut text, mut binary) = (glb[20..20 + word(12)].to_vec(), glb[28 + word(12)..].to_vec());
+    let (mut text, mut binary) = (
+        glb[20..20 + word(12)].to_vec(),
+        glb[28 + word(12)..].to_vec(),
+    );
     for _ in 0..1 + r.below(3) {
         match r.below(8) {
             0 if !text.is_empty() => {
@@ -79,10 +83,17 @@ fn mutate(r: &mut Random, glb: &[u8]) -> Vec<u8> {
             3 => binary.truncate(r.below(binary.len())),
             _ => {
                 let at = r.below(text.len());
-                let Some(start) = text[at..].iter().position(u8::is_ascii_digit).map(|p| p + at) else {
+                let Some(start) = text[at..]
+                    .iter()
+                    .position(u8::is_ascii_digit)
+                    .map(|p| p + at)
+                else {
                     continue;
                 };
-                let len = text[start..].iter().take_while(|c| c.is_ascii_digit()).count();
+                let len = text[start..]
+                    .iter()
+                    .take_while(|c| c.is_ascii_digit())
+                    .count();
                 text.splice(start..start + len, NUMBERS[r.below(NUMBERS.len())].bytes());
             }
         }
@@ -132,7 +143,10 @@ fn seeds() -> Vec<Vec<u8>> {
 #[test]
 fn inputs_that_once_crashed_do_not() {
     let crashes = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/crashes");
-    let mut kept: Vec<_> = std::fs::read_dir(crashes).unwrap().map(|e| e.unwrap().path()).collect();
+    let mut kept: Vec<_> = std::fs::read_dir(crashes)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
     kept.sort();
     assert!(!kept.is_empty(), "the folder has a README at least");
     for path in kept {
@@ -145,8 +159,13 @@ fn mutated_files_are_rewritten_or_refused() {
     for (s, seed) in seeds().iter().enumerate() {
         assert!(rewrite(seed), "seed {s} must be valid");
         let mut r = Random::new(0x9e37_79b9_7f4a_7c15 + s as u64);
-        let written = (0..ROUNDS).filter(|_| rewrite(&mutate(&mut r, seed))).count();
+        let written = (0..ROUNDS)
+            .filter(|_| rewrite(&mutate(&mut r, seed)))
+            .count();
         // Mutations that are all refused, or all written, would reach little of the code.
-        assert!((ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&written), "{s}: {written} of {ROUNDS}");
+        assert!(
+            (ROUNDS / 100..ROUNDS - ROUNDS / 100).contains(&written),
+            "{s}: {written} of {ROUNDS}"
+        );
     }
 }

@@ -19,7 +19,9 @@ const TEXTURE: Settings = Settings {
 fn error(maker: &Maker, settings: &Settings) -> String {
     let glb = maker.glb();
     let scene = scene(&glb);
-    Plan::new("test.glb", &glb, None, &scene, settings).unwrap_err().to_string()
+    Plan::new("test.glb", &glb, None, &scene, settings)
+        .unwrap_err()
+        .to_string()
 }
 
 /// Two triangles with these texture coordinates.
@@ -44,20 +46,36 @@ fn coordinates_that_cannot_be_kept_are_named() {
             &[0., 0., 1., 0., 0., 1., 0.2, 0.2],
             "mesh 0, primitive 0 (at node 0), triangles 0 and 1: they overlap",
         ),
-        (&[0., 0., 1., 0., 0., 1., 1.5, 1.], "triangle 1: its TEXCOORD_1 is not within 0 and 1"),
-        (&[0., 0., 1., 0., 0., 1., f32::NAN, 1.], "triangle 1: its TEXCOORD_1 is not within 0 and 1"),
+        (
+            &[0., 0., 1., 0., 0., 1., 1.5, 1.],
+            "triangle 1: its TEXCOORD_1 is not within 0 and 1",
+        ),
+        (
+            &[0., 0., 1., 0., 0., 1., f32::NAN, 1.],
+            "triangle 1: its TEXCOORD_1 is not within 0 and 1",
+        ),
         (&[0.5; 8], "gives a part of its surface no area"),
     ];
     for (uv, expected) in cases {
         let maker = square(uv);
         let said = error(&maker, &TEXTURE);
-        assert!(said.contains(expected) && said.contains("--uv keep"), "{said}");
+        assert!(
+            said.contains(expected) && said.contains("--uv keep"),
+            "{said}"
+        );
         // Otherwise new ones are made, and the user is told why.
-        let any = Settings { coordinates: Coordinates::Any, ..TEXTURE };
+        let any = Settings {
+            coordinates: Coordinates::Any,
+            ..TEXTURE
+        };
         let glb = maker.glb();
         let scene = scene(&glb);
         let plan = Plan::new("test.glb", &glb, None, &scene, &any).unwrap();
-        assert!(plan.notes().len() == 1 && plan.notes()[0].contains(expected), "{:?}", plan.notes());
+        assert!(
+            plan.notes().len() == 1 && plan.notes()[0].contains(expected),
+            "{:?}",
+            plan.notes()
+        );
     }
 }
 
@@ -65,7 +83,16 @@ fn coordinates_that_cannot_be_kept_are_named() {
 fn sizes_have_limits() {
     let maker = square(&[0., 0., 1., 0., 0., 1., 1., 1.]);
     for coordinates in [Coordinates::Keep, Coordinates::Unwrap] {
-        let with = |size| error(&maker, &Settings { size, coordinates, ..TEXTURE });
+        let with = |size| {
+            error(
+                &maker,
+                &Settings {
+                    size,
+                    coordinates,
+                    ..TEXTURE
+                },
+            )
+        };
         assert!(with(Size::Texel(1e-5)).contains("16384 x 16384"));
         assert!(with(Size::Texel(1e-300)).contains("16384 x 16384"));
         for size in [0.0, -1.0, f64::NAN, f64::INFINITY] {
@@ -85,7 +112,11 @@ fn many_charts_need_room() {
     for i in 0..20 {
         maker.node(json!({ "mesh": mesh, "translation": [2 * i, 0, 0] }));
     }
-    let settings = Settings { size: Size::Resolution(32), coordinates: Coordinates::Unwrap, ..TEXTURE };
+    let settings = Settings {
+        size: Size::Resolution(32),
+        coordinates: Coordinates::Unwrap,
+        ..TEXTURE
+    };
     let said = error(&maker, &settings);
     assert!(said.contains("do not fit into 32 x 32 texels"), "{said}");
 }
@@ -101,11 +132,19 @@ fn compressions_are_named() {
     let mut meshopt = square(&[]);
     meshopt.json["bufferViews"][1]["extensions"] = json!({ "EXT_meshopt_compression": {} });
     for (maker, expected) in [
-        (draco, "mesh 0, primitive 0: it has KHR_draco_mesh_compression"),
+        (
+            draco,
+            "mesh 0, primitive 0: it has KHR_draco_mesh_compression",
+        ),
         (meshopt, "buffer view 1: it has EXT_meshopt_compression"),
     ] {
-        let said = Plan::new("test.glb", &maker.glb(), None, &scene, &TEXTURE).unwrap_err().to_string();
-        assert!(said.contains(expected) && said.contains("export without it"), "{said}");
+        let said = Plan::new("test.glb", &maker.glb(), None, &scene, &TEXTURE)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            said.contains(expected) && said.contains("export without it"),
+            "{said}"
+        );
     }
 }
 
@@ -115,8 +154,18 @@ fn a_scene_without_area_has_no_values() {
     let positions = maker.floats("VEC3", &[0., 0., 0., 1., 1., 1., 2., 2., 2.]);
     let mesh = maker.mesh(json!({ "attributes": { "POSITION": positions } }));
     maker.node(json!({ "mesh": mesh }));
-    for (target, coordinates) in [(Target::Texture, Coordinates::Any), (Target::Vertices, Coordinates::Any)] {
-        let said = error(&maker, &Settings { target, coordinates, ..TEXTURE });
+    for (target, coordinates) in [
+        (Target::Texture, Coordinates::Any),
+        (Target::Vertices, Coordinates::Any),
+    ] {
+        let said = error(
+            &maker,
+            &Settings {
+                target,
+                coordinates,
+                ..TEXTURE
+            },
+        );
         assert!(said.contains("none of its triangles has an area"), "{said}");
     }
 }
@@ -129,7 +178,9 @@ fn the_scene_must_be_that_of_the_file() {
     let mesh = other.mesh(primitive);
     other.node(json!({ "mesh": mesh }));
     let scene = scene(&other.glb());
-    let said = Plan::new("test.glb", &glb, None, &scene, &TEXTURE).unwrap_err().to_string();
+    let said = Plan::new("test.glb", &glb, None, &scene, &TEXTURE)
+        .unwrap_err()
+        .to_string();
     assert!(said.contains("it has 2 triangles, the scene 12"), "{said}");
 }
 
@@ -138,7 +189,13 @@ fn values_must_be_complete_and_in_range() {
     let glb = square(&[0., 0., 1., 0., 0., 1., 1., 1.]).glb();
     let scene = scene(&glb);
     let plan = Plan::new("test.glb", &glb, None, &scene, &TEXTURE).unwrap();
-    let mut values = vec![Value { open: 0.5, inside: false }; plan.receivers().len()];
+    let mut values = vec![
+        Value {
+            open: 0.5,
+            inside: false
+        };
+        plan.receivers().len()
+    ];
     for open in [f64::NAN, 1.5, -0.1, f64::INFINITY] {
         values[3].open = open;
         assert!(plan.write(&values).is_err());
@@ -153,35 +210,55 @@ fn seed() -> Vec<u8> {
     let mut maker = Maker::new();
     let mut primitive = cube_primitive(&mut maker);
     let normals = maker.floats("VEC3", &[0.6; 24]);
-    let uv = maker.floats("VEC2", &(0..16).map(|i| i as f32 / 16.0).collect::<Vec<_>>());
+    let uv = maker.floats(
+        "VEC2",
+        &(0..16).map(|i| i as f32 / 16.0).collect::<Vec<_>>(),
+    );
     primitive["attributes"]["NORMAL"] = json!(normals);
     primitive["attributes"]["TEXCOORD_1"] = json!(uv);
     primitive["targets"] = json!([{ "POSITION": normals }]);
-    primitive["material"] = json!(maker.push("materials", json!({ "normalTexture": { "texCoord": 1 } })));
+    primitive["material"] =
+        json!(maker.push("materials", json!({ "normalTexture": { "texCoord": 1 } })));
     let mut strip = primitive.clone();
     strip["mode"] = json!(5);
     let mesh = maker.push("meshes", json!({ "primitives": [primitive, strip] }));
     let offsets = maker.floats("VEC3", &[0., 0., 0., 2., 0., 0.]);
-    let extensions =
-        json!({ "EXT_mesh_gpu_instancing": { "attributes": { "TRANSLATION": offsets, "SCALE": offsets } } });
+    let attributes = json!({ "TRANSLATION": offsets, "SCALE": offsets });
+    let extensions = json!({ "EXT_mesh_gpu_instancing": { "attributes": attributes } });
     let child = maker.push("nodes", json!({ "mesh": mesh, "scale": [-1, 1, 1] }));
     maker.node(json!({ "mesh": mesh, "extensions": extensions, "children": [child] }));
-    maker.push("images", json!({ "bufferView": 0, "mimeType": "image/png" }));
+    maker.push(
+        "images",
+        json!({ "bufferView": 0, "mimeType": "image/png" }),
+    );
     maker.glb()
 }
 
 /// Reads, plans and writes whatever the bytes are.
 fn exercise(glb: &[u8]) {
-    let Ok(scene) = sightline_scene::load_bytes("x.glb", glb, None) else { return };
+    let Ok(scene) = sightline_scene::load_bytes("x.glb", glb, None) else {
+        return;
+    };
     for coordinates in [Coordinates::Any, Coordinates::Keep] {
         for target in [Target::Texture, Target::Vertices] {
-            let settings = Settings { target, coordinates, ..TEXTURE };
-            let Ok(plan) = Plan::new("x.glb", glb, None, &scene, &settings) else { continue };
+            let settings = Settings {
+                target,
+                coordinates,
+                ..TEXTURE
+            };
+            let Ok(plan) = Plan::new("x.glb", glb, None, &scene, &settings) else {
+                continue;
+            };
             let values = plan.receivers().iter().enumerate();
             let values: Vec<Value> = values
-                .map(|(i, r)| Value { open: r.point.x.rem_euclid(1.0).min(1.0), inside: i % 7 == 0 })
+                .map(|(i, r)| Value {
+                    open: r.point.x.rem_euclid(1.0).min(1.0),
+                    inside: i % 7 == 0,
+                })
                 .collect();
-            let Ok(made) = plan.write(&values) else { continue };
+            let Ok(made) = plan.write(&values) else {
+                continue;
+            };
             let again = sightline_scene::load_bytes("out.glb", &made.glb, None).unwrap();
             assert!(again.triangles() == scene.triangles());
         }

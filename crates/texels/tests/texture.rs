@@ -10,7 +10,11 @@ use sightline_texels::{Bits, Coordinates, Plan, Settings, Size, Value};
 use support::{Maker, Read, cube_primitive, scene, written};
 
 fn settings(side: u32) -> Settings {
-    Settings { size: Size::Resolution(side), bits: Bits::Sixteen, ..Settings::default() }
+    Settings {
+        size: Size::Resolution(side),
+        bits: Bits::Sixteen,
+        ..Settings::default()
+    }
 }
 
 /// A square of 8 x 8 in the plane z = 0 whose `TEXCOORD_1` spans the image, or only the half of it.
@@ -19,7 +23,11 @@ fn plane(half: bool) -> Maker {
     let positions = maker.floats("VEC3", &[0., 0., 0., 8., 0., 0., 0., 8., 0., 8., 8., 0.]);
     let uv = maker.floats("VEC2", &[0., 0., 1., 0., 0., 1., 1., 1.]);
     let other = maker.floats("VEC2", &[0., 0., 9., 0., 0., 9., 9., 9.]);
-    let indices = maker.indices(if half { &[0, 1, 2] } else { &[0, 1, 2, 2, 1, 3] });
+    let indices = maker.indices(if half {
+        &[0, 1, 2]
+    } else {
+        &[0, 1, 2, 2, 1, 3]
+    });
     let attributes = json!({ "POSITION": positions, "TEXCOORD_0": other, "TEXCOORD_1": uv });
     let mesh = maker.mesh(json!({ "attributes": attributes, "indices": indices }));
     maker.node(json!({ "mesh": mesh }));
@@ -35,7 +43,10 @@ fn a_texel_is_the_mean_over_its_part() {
             assert_eq!(n, DVec3::Z);
             f(p.x, p.y)
         });
-        assert_eq!((made.facts.kept, made.facts.texels), (1, if half { 136 } else { 256 }));
+        assert_eq!(
+            (made.facts.kept, made.facts.texels),
+            (1, if half { 136 } else { 256 })
+        );
         let read = Read::new(&made.glb);
         let image = read.image();
         for y in 0..16 {
@@ -48,14 +59,23 @@ fn a_texel_is_the_mean_over_its_part() {
                 };
                 let expected = f((x as f64 + middle) / 2.0, (y as f64 + middle) / 2.0);
                 let value = image.values[y * 16 + x];
-                assert!((value - expected).abs() < 2e-5, "{half} {x} {y}: {value} for {expected}");
+                assert!(
+                    (value - expected).abs() < 2e-5,
+                    "{half} {x} {y}: {value} for {expected}"
+                );
             }
         }
         // The coordinates are as they were.
         let before = Read::new(&glb);
-        assert_eq!(read.attribute(0, 0, "TEXCOORD_1"), before.attribute(0, 0, "TEXCOORD_1"));
+        assert_eq!(
+            read.attribute(0, 0, "TEXCOORD_1"),
+            before.attribute(0, 0, "TEXCOORD_1")
+        );
         let material = &read.json["materials"][0]["occlusionTexture"];
-        assert_eq!(*material, json!({ "index": 0, "texCoord": 1, "strength": 1 }));
+        assert_eq!(
+            *material,
+            json!({ "index": 0, "texCoord": 1, "strength": 1 })
+        );
     }
 }
 
@@ -64,10 +84,17 @@ fn the_size_of_a_texel_decides_the_size_of_the_image() {
     let glb = plane(false).glb();
     let scene = scene(&glb);
     for (coordinates, least, most) in [(Coordinates::Keep, 32, 32), (Coordinates::Unwrap, 32, 48)] {
-        let settings = Settings { size: Size::Texel(0.25), coordinates, ..Settings::default() };
+        let settings = Settings {
+            size: Size::Texel(0.25),
+            coordinates,
+            ..Settings::default()
+        };
         let plan = Plan::new("test.glb", &glb, None, &scene, &settings).unwrap();
         let [width, height] = plan.image_size().unwrap();
-        assert!((least..=most).contains(&width) && (least..=most).contains(&height), "{width} x {height}");
+        assert!(
+            (least..=most).contains(&width) && (least..=most).contains(&height),
+            "{width} x {height}"
+        );
         let fully = plan.receivers().len();
         assert!((32 * 32..=36 * 36 + 200).contains(&fully), "{fully}");
     }
@@ -81,20 +108,32 @@ fn edge_differences(read: &Read, scene: &sightline_scene::Scene) -> Vec<(f64, f6
         let [a, b, c] = triangle.v.map(|v| v.as_dvec3());
         let normal = (b - a).cross(c - a).normalize();
         for k in 0..3 {
-            let mut ends = [(triangle.v[k], uv[k]), (triangle.v[(k + 1) % 3], uv[(k + 1) % 3])];
+            let mut ends = [
+                (triangle.v[k], uv[k]),
+                (triangle.v[(k + 1) % 3], uv[(k + 1) % 3]),
+            ];
             let bits = |v: glam::Vec3| v.to_array().map(f32::to_bits);
             ends.sort_by_key(|e| bits(e.0));
             let (p, q) = (bits(ends[0].0), bits(ends[1].0));
             for quarter in 0..4u32 {
                 let t = (f64::from(quarter) + 0.5) / 4.0;
                 let at = [0, 1].map(|i| ends[0].1[i] + (ends[1].1[i] - ends[0].1[i]) * t);
-                edges.push(([p[0], p[1], p[2], q[0], q[1], q[2]], quarter, image.at(at), normal));
+                edges.push((
+                    [p[0], p[1], p[2], q[0], q[1], q[2]],
+                    quarter,
+                    image.at(at),
+                    normal,
+                ));
             }
         }
     }
     edges.sort_by_key(|e| (e.0, e.1));
-    let pairs = edges.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).filter(|c| c.len() == 2);
-    pairs.map(|c| ((c[0].2 - c[1].2).abs(), c[0].3.dot(c[1].3))).collect()
+    let pairs = edges
+        .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+        .filter(|c| c.len() == 2);
+    pairs
+        .map(|c| ((c[0].2 - c[1].2).abs(), c[0].3.dot(c[1].3)))
+        .collect()
 }
 
 #[test]
@@ -105,8 +144,14 @@ fn both_sides_of_a_seam_agree() {
     maker.node(json!({ "mesh": mesh }));
     let glb = maker.glb();
     // A function of the position goes on across the edges of a cube.
-    let made = written(&glb, &settings(128), |p, _| 0.5 + 0.2 * (3.0 * p.x + 2.0 * p.y - p.z).sin());
-    assert!(made.facts.charts >= 6 && made.facts.unwrapped == 1, "{:?}", made.facts);
+    let made = written(&glb, &settings(128), |p, _| {
+        0.5 + 0.2 * (3.0 * p.x + 2.0 * p.y - p.z).sin()
+    });
+    assert!(
+        made.facts.charts >= 6 && made.facts.unwrapped == 1,
+        "{:?}",
+        made.facts
+    );
     let differences = edge_differences(&Read::new(&made.glb), &scene(&glb));
     assert_eq!(differences.len(), 18 * 4);
     for (difference, _) in differences {
@@ -123,10 +168,23 @@ fn seams_of_a_round_surface_are_closed() {
     let mut positions = Vec::new();
     for i in 0..=down {
         for j in 0..across {
-            let (a, b) = (f64::from(i) / f64::from(down), f64::from(j) / f64::from(across));
+            let (a, b) = (
+                f64::from(i) / f64::from(down),
+                f64::from(j) / f64::from(across),
+            );
             let (polar, round) = (a * std::f64::consts::PI, b * std::f64::consts::TAU);
-            let at = [polar.sin() * round.cos(), polar.sin() * round.sin(), polar.cos()];
-            positions.extend(at.map(|c| if i == 0 || i == down { (c as f32).round() } else { c as f32 }));
+            let at = [
+                polar.sin() * round.cos(),
+                polar.sin() * round.sin(),
+                polar.cos(),
+            ];
+            positions.extend(at.map(|c| {
+                if i == 0 || i == down {
+                    (c as f32).round()
+                } else {
+                    c as f32
+                }
+            }));
         }
     }
     let mut indices = Vec::new();
@@ -147,7 +205,9 @@ fn seams_of_a_round_surface_are_closed() {
     let mesh = maker.mesh(json!({ "attributes": { "POSITION": positions }, "indices": indices }));
     maker.node(json!({ "mesh": mesh }));
     let glb = maker.glb();
-    let made = written(&glb, &settings(128), |p, _| 0.5 + 0.4 * (5.0 * p.x).sin() * (4.0 * p.y + p.z).cos());
+    let made = written(&glb, &settings(128), |p, _| {
+        0.5 + 0.4 * (5.0 * p.x).sin() * (4.0 * p.y + p.z).cos()
+    });
     assert!(made.facts.seams > 20, "{:?}", made.facts);
     let smooth: Vec<f64> = edge_differences(&Read::new(&made.glb), &scene(&glb))
         .into_iter()
@@ -156,7 +216,11 @@ fn seams_of_a_round_surface_are_closed() {
         .collect();
     let largest = smooth.iter().copied().fold(0.0, f64::max);
     // Less than a step of 8 bits; without closing them it is ten times as much.
-    assert!(smooth.len() > 2000 && largest < 1.0 / 255.0, "{} {largest}", smooth.len());
+    assert!(
+        smooth.len() > 2000 && largest < 1.0 / 255.0,
+        "{} {largest}",
+        smooth.len()
+    );
 }
 
 #[test]
@@ -189,13 +253,19 @@ fn what_is_inside_takes_the_values_of_neighbours() {
     let values: Vec<Value> = values
         .map(|r| {
             let inside = (2.0..4.0).contains(&r.point.x);
-            Value { open: if inside { 0.0 } else { 0.75 }, inside }
+            Value {
+                open: if inside { 0.0 } else { 0.75 },
+                inside,
+            }
         })
         .collect();
     let made = plan.write(&values).unwrap();
     assert_eq!((made.facts.inside, made.facts.texels), (64, 192));
     let image = Read::new(&made.glb).image();
-    assert!(image.values.iter().all(|v| (v - 0.75).abs() < 1e-4), "dark comes through");
+    assert!(
+        image.values.iter().all(|v| (v - 0.75).abs() < 1e-4),
+        "dark comes through"
+    );
 }
 
 #[test]

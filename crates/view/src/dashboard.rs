@@ -50,7 +50,14 @@ mod tests {
         for element in ["<style", "<script"] {
             let count = page.matches(element).count();
             assert!(count > 0, "{element}");
-            assert_eq!(page.split(element).skip(1).filter(|rest| !with_nonce(rest)).count(), 0, "{element}");
+            assert_eq!(
+                page.split(element)
+                    .skip(1)
+                    .filter(|rest| !with_nonce(rest))
+                    .count(),
+                0,
+                "{element}"
+            );
         }
         assert!(page.contains("action=\"/logout\"") && !dashboard("", false).contains("/logout"));
         // A policy with nonces forbids attributes of style and handlers in markup, also attributes that the
@@ -61,6 +68,8 @@ mod tests {
     }
 
     fn with_nonce(rest: &str) -> bool {
-        rest.split('>').next().is_some_and(|attributes| attributes.ends_with(" nonce=\"x\""))
+        rest.split('>')
+            .next()
+            .is_some_and(|attributes| attributes.ends_with(" nonce=\"x\""))
     }
 }

@@ -36,10 +36,9 @@ const READ: [Section; 8] = [
 /// # Errors
 /// [`ViewError`].
 pub fn page(view: &View<'_>) -> Result<String, ViewError> {
-    let worst = view
-        .worst
-        .iter()
-        .map(|w| json!({"viewpoint": w.viewpoint.map(f64::from), "cell": w.cell, "error": w.error}));
+    let worst = view.worst.iter().map(
+        |w| json!({"viewpoint": w.viewpoint.map(f64::from), "cell": w.cell, "error": w.error}),
+    );
     let meta = json!({
         "up": view.up,
         "start": view.start,
@@ -58,7 +57,13 @@ pub fn page(view: &View<'_>) -> Result<String, ViewError> {
         // A text in the description must not end the script element.
         ("meta", meta.to_string().replace('<', "\\u003c")),
         ("result", block(&view.pvs.with_sections(&READ))?),
-        ("scene", view.scene.map(|scene| block(&triangles(scene))).transpose()?.unwrap_or_default()),
+        (
+            "scene",
+            view.scene
+                .map(|scene| block(&triangles(scene)))
+                .transpose()?
+                .unwrap_or_default(),
+        ),
         ("values", block(&values(view))?),
         ("program", program(&MODULES)),
     ];
@@ -72,7 +77,12 @@ pub fn fill(document: &str, parts: &[(&str, String)]) -> String {
     while let Some((before, after)) = rest.split_once("{{") {
         let (name, after) = after.split_once("}}").unwrap_or((after, ""));
         out.push_str(before);
-        out.extend(parts.iter().filter(|(part, _)| *part == name).map(|(_, text)| text.as_str()));
+        out.extend(
+            parts
+                .iter()
+                .filter(|(part, _)| *part == name)
+                .map(|(_, text)| text.as_str()),
+        );
         rest = after;
     }
     out.push_str(rest);
@@ -96,7 +106,10 @@ fn escaped(text: &str) -> String {
     // A document may hold no other control characters.
     let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     let text = text.replace(is_refused, "\u{fffd}");
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
 }
 
 #[cfg(test)]
@@ -111,8 +124,14 @@ pub mod tests {
         assert!(!all.lines().any(is_word) && !all.contains("</script"));
         let name = |line: &str| {
             let mut words = line.split([' ', '(', '=']);
-            let is_name = matches!(words.next(), Some("const" | "function" | "class" | "async" | "let"));
-            words.find(|word| !word.is_empty() && *word != "function").filter(|_| is_name).map(str::to_owned)
+            let is_name = matches!(
+                words.next(),
+                Some("const" | "function" | "class" | "async" | "let")
+            );
+            words
+                .find(|word| !word.is_empty() && *word != "function")
+                .filter(|_| is_name)
+                .map(str::to_owned)
         };
         let names: Vec<String> = all.lines().filter_map(name).collect();
         let once: BTreeSet<&String> = names.iter().collect();
@@ -127,6 +146,9 @@ pub mod tests {
     #[test]
     fn text_ends_no_element() {
         assert_eq!(escaped("<b>\"&"), "&lt;b&gt;&quot;&amp;");
-        assert_eq!(escaped("a\u{1b}[31m\u{0}\u{85}\tb"), "a\u{fffd}[31m\u{fffd}\u{fffd}\tb");
+        assert_eq!(
+            escaped("a\u{1b}[31m\u{0}\u{85}\tb"),
+            "a\u{fffd}[31m\u{fffd}\u{fffd}\tb"
+        );
     }
 }

@@ -90,6 +90,9 @@ impl Ask {
     /// alpha textures are read.
     pub fn about(scene: &sightline_scene::Scene, url: &str, job: Option<u64>) -> Option<Self> {
         let can = scene.sides().are_both() && !scene.kinds().any_masked();
-        can.then(|| Self { url: url.to_owned(), job })
+        can.then(|| Self {
+            url: url.to_owned(),
+            job,
+        })
     }
 }

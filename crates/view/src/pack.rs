@@ -37,5 +37,7 @@ pub fn triangles(scene: &Scene) -> Vec<u8> {
 /// The numbers of the heat maps, each for all cells, then three coordinates of a viewpoint for each cell.
 pub fn values(view: &View<'_>) -> Vec<u8> {
     let maps = view.maps.iter().flat_map(|map| &map.values);
-    maps.chain(view.places.iter().flatten()).flat_map(|x| x.to_le_bytes()).collect()
+    maps.chain(view.places.iter().flatten())
+        .flat_map(|x| x.to_le_bytes())
+        .collect()
 }

@@ -35,8 +35,14 @@ impl<'a> View<'a> {
 fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
     let has = |is: bool, what: &str| is.then(|| what.to_owned());
     let all = [
-        has(scene.is_some_and(|scene| !scene.sides().are_both()), "that back faces are culled"),
-        has(scene.is_some_and(|scene| scene.kinds().any_masked()), "alpha textures"),
+        has(
+            scene.is_some_and(|scene| !scene.sides().are_both()),
+            "that back faces are culled",
+        ),
+        has(
+            scene.is_some_and(|scene| scene.kinds().any_masked()),
+            "alpha textures",
+        ),
         has(
             info["viewpoints"].is_object() && pvs.region().is_none(),
             "in which parts of a cell viewpoints are",
@@ -50,17 +56,32 @@ fn caveat(pvs: &Pvs, scene: Option<&Scene>, info: &Value) -> Option<String> {
 ///
 /// # Errors
 /// Those of `of`.
-pub fn each(pvs: &Pvs, name: &str, of: impl Fn(&Pvs, u32) -> Result<f32, PvsError>) -> Result<Map, PvsError> {
-    let values = (0..pvs.cells()).map(|cell| of(pvs, cell)).collect::<Result<_, _>>()?;
-    Ok(Map { name: name.to_owned(), values })
+pub fn each(
+    pvs: &Pvs,
+    name: &str,
+    of: impl Fn(&Pvs, u32) -> Result<f32, PvsError>,
+) -> Result<Map, PvsError> {
+    let values = (0..pvs.cells())
+        .map(|cell| of(pvs, cell))
+        .collect::<Result<_, _>>()?;
+    Ok(Map {
+        name: name.to_owned(),
+        values,
+    })
 }
 
 /// The heat maps that every result has numbers for.
 fn maps(pvs: &Pvs) -> Result<Vec<Map>, PvsError> {
     let mut all = vec![
-        each(pvs, "triangles in the set", |pvs, cell| Ok(pvs.visible_count(cell)? as f32))?,
-        each(pvs, "undecided triangles", |pvs, cell| Ok(pvs.undecided_count(cell)? as f32))?,
-        each(pvs, "bytes of the set", |pvs, cell| Ok(pvs.visible_bytes(cell)?.own as f32))?,
+        each(pvs, "triangles in the set", |pvs, cell| {
+            Ok(pvs.visible_count(cell)? as f32)
+        })?,
+        each(pvs, "undecided triangles", |pvs, cell| {
+            Ok(pvs.undecided_count(cell)? as f32)
+        })?,
+        each(pvs, "bytes of the set", |pvs, cell| {
+            Ok(pvs.visible_bytes(cell)?.own as f32)
+        })?,
     ];
     all.retain(Map::says_something);
     Ok(all)

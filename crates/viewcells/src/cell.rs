@@ -44,13 +44,22 @@ impl CellBox {
     /// The rectangle that a plane cuts out of the box.
     pub fn cut(&self, split: Split) -> Rect {
         let (u, v) = Rect::in_plane_axes(split.axis);
-        Rect { axis: split.axis, at: split.at, lo: [self.lo[u], self.lo[v]], hi: [self.hi[u], self.hi[v]] }
+        Rect {
+            axis: split.axis,
+            at: split.at,
+            lo: [self.lo[u], self.lo[v]],
+            hi: [self.hi[u], self.hi[v]],
+        }
     }
 
     /// Face `f` as a rectangle: axis `f / 2`, the greater side when `f` is even (as cube faces are numbered).
     pub fn face(&self, f: usize) -> Rect {
         let axis = f / 2;
-        let at = if f.is_multiple_of(2) { self.hi[axis] } else { self.lo[axis] };
+        let at = if f.is_multiple_of(2) {
+            self.hi[axis]
+        } else {
+            self.lo[axis]
+        };
         self.cut(Split { axis, at })
     }
 
@@ -65,7 +74,13 @@ impl CellBox {
         if !self.contains(p) {
             return 0;
         }
-        (0..3).fold(8, |n, a| if p[a] == self.lo[a] || p[a] == self.hi[a] { n / 2 } else { n })
+        (0..3).fold(8, |n, a| {
+            if p[a] == self.lo[a] || p[a] == self.hi[a] {
+                n / 2
+            } else {
+                n
+            }
+        })
     }
 
     /// Whether `p` lies on the surface of the box.

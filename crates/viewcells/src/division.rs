@@ -131,12 +131,18 @@ impl Division {
         for axis in 0..3 {
             let (lo, hi) = (min[axis], max[axis]);
             if !(-MAX_COORDINATE <= lo && lo < hi && hi <= MAX_COORDINATE) {
-                return Err(DivisionError::Box { axis, min: lo, max: hi });
+                return Err(DivisionError::Box {
+                    axis,
+                    min: lo,
+                    max: hi,
+                });
             }
         }
         match *self {
             Self::Grid([x, y, z]) => {
-                let fine = [x, y, z].iter().all(|c| (1..=MAX_CELLS_PER_AXIS).contains(c))
+                let fine = [x, y, z]
+                    .iter()
+                    .all(|c| (1..=MAX_CELLS_PER_AXIS).contains(c))
                     && u64::from(x) * u64::from(y) * u64::from(z) <= MAX_CELLS;
                 if !fine {
                     return Err(DivisionError::Cells { x, y, z });
@@ -147,14 +153,21 @@ impl Division {
                     let plane = |c: u32| lattice.coordinate(a, c * UNITS_PER_CELL);
                     (0..cells).all(|c| plane(c) < plane(c + 1))
                 };
-                match [x, y, z].into_iter().enumerate().find(|(a, cells)| !told_apart(*a, *cells)) {
+                match [x, y, z]
+                    .into_iter()
+                    .enumerate()
+                    .find(|(a, cells)| !told_apart(*a, *cells))
+                {
                     None => Ok(lattice),
                     Some((axis, cells)) => Err(DivisionError::TooFine { axis, cells }),
                 }
             }
             Self::Adaptive { budget, max_depth } => {
                 if budget == 0 || !(1..=MAX_DEPTH).contains(&max_depth) {
-                    return Err(DivisionError::Adaptive { budget, depth: max_depth });
+                    return Err(DivisionError::Adaptive {
+                        budget,
+                        depth: max_depth,
+                    });
                 }
                 Ok(Lattice::new(min, max, [1, 1, 1]))
             }
@@ -176,7 +189,9 @@ impl Division {
             // The lower half of each split has the width of the upper half, or a unit less.
             Self::Adaptive { .. } => {
                 for depth in 0..FORCED_DEPTH {
-                    let Some(split) = self.split(lattice, &thinnest, depth) else { break };
+                    let Some(split) = self.split(lattice, &thinnest, depth) else {
+                        break;
+                    };
                     thinnest = thinnest.children(split)[0];
                 }
             }
@@ -196,12 +211,23 @@ impl Division {
                 (of(axis), axis)
             }
         };
-        if moved < width { Ok(moved / width) } else { Err(DivisionError::TooThin { axis, width, largest }) }
+        if moved < width {
+            Ok(moved / width)
+        } else {
+            Err(DivisionError::TooThin {
+                axis,
+                width,
+                largest,
+            })
+        }
     }
 
     /// The root cell: the whole view box.
     pub fn root(&self, lattice: &Lattice) -> CellBox {
-        CellBox { lo: [0; 3], hi: lattice.units() }
+        CellBox {
+            lo: [0; 3],
+            hi: lattice.units(),
+        }
     }
 
     /// The plane that splits `cell` at `depth`, if it can be split: in a grid along the axis with most cells,
@@ -209,12 +235,16 @@ impl Division {
     pub fn split(&self, lattice: &Lattice, cell: &CellBox, depth: u32) -> Option<Split> {
         let span = |a: usize| cell.hi[a] - cell.lo[a];
         // `max_by` keeps the last of equals; going backwards makes that the first axis.
-        let pick = |key: &dyn Fn(usize) -> f64| (0..3).rev().max_by(|a, b| key(*a).total_cmp(&key(*b)));
+        let pick =
+            |key: &dyn Fn(usize) -> f64| (0..3).rev().max_by(|a, b| key(*a).total_cmp(&key(*b)));
         match *self {
             Self::Grid(_) => {
                 let axis = pick(&|a| f64::from(span(a)))?;
                 let cells = span(axis) / UNITS_PER_CELL;
-                (cells > 1).then(|| Split { axis, at: cell.lo[axis] + cells / 2 * UNITS_PER_CELL })
+                (cells > 1).then(|| Split {
+                    axis,
+                    at: cell.lo[axis] + cells / 2 * UNITS_PER_CELL,
+                })
             }
             Self::Adaptive { max_depth, .. } => {
                 let axis = pick(&|a| lattice.length(a, span(a)))?;

@@ -79,7 +79,8 @@ impl KdTree {
         let mut open = vec![(None, 0usize)];
         for (i, axis) in axes.iter().enumerate() {
             let (parent, depth) = open.pop().ok_or(TreeError::Shape)?;
-            if let Some(KdNode::Split { upper, .. }) = parent.and_then(|p: usize| nodes.get_mut(p)) {
+            if let Some(KdNode::Split { upper, .. }) = parent.and_then(|p: usize| nodes.get_mut(p))
+            {
                 *upper = i;
             }
             match *axis {
@@ -89,7 +90,11 @@ impl KdTree {
                     }
                     // −0 and 0 are one plane.
                     let at = planes.next().ok_or(TreeError::Shape)? + 0.0;
-                    nodes.push(KdNode::Split { axis: axis as usize, at, upper: 0 });
+                    nodes.push(KdNode::Split {
+                        axis: axis as usize,
+                        at,
+                        upper: 0,
+                    });
                     open.extend([(Some(i), depth + 1), (None, depth + 1)]);
                 }
                 axis if axis == u32::from(BOX) => {
@@ -115,7 +120,10 @@ impl KdTree {
             KdNode::Split { at, .. } => Some(*at),
             KdNode::Box(_) => None,
         };
-        (self.nodes.iter().map(axis).collect(), self.nodes.iter().filter_map(plane).collect())
+        (
+            self.nodes.iter().map(axis).collect(),
+            self.nodes.iter().filter_map(plane).collect(),
+        )
     }
 
     /// Number of boxes.
@@ -128,9 +136,16 @@ impl KdTree {
         let mut planes: [Vec<f32>; 3] = Default::default();
         let mut open = vec![(0usize, min, max)];
         while let Some((node, min, max)) = open.pop() {
-            let KdNode::Split { axis, at, upper } = self.nodes[node] else { continue };
+            let KdNode::Split { axis, at, upper } = self.nodes[node] else {
+                continue;
+            };
             if !(min[axis] < at && at < max[axis]) {
-                return Err(PlaneError { axis, at, min: min[axis], max: max[axis] });
+                return Err(PlaneError {
+                    axis,
+                    at,
+                    min: min[axis],
+                    max: max[axis],
+                });
             }
             planes[axis].push(at);
             let (mut lower_max, mut upper_min) = (max, min);
@@ -148,7 +163,10 @@ impl KdTree {
     /// The plane that splits a box of the tree.
     pub(crate) fn split(&self, lattice: &Lattice, of: &CellBox) -> Option<Split> {
         match self.nodes[self.find(lattice, of)?] {
-            KdNode::Split { axis, at, .. } => Some(Split { axis, at: lattice.unit(axis, at)? }),
+            KdNode::Split { axis, at, .. } => Some(Split {
+                axis,
+                at: lattice.unit(axis, at)?,
+            }),
             KdNode::Box(_) => None,
         }
     }
@@ -163,13 +181,27 @@ impl KdTree {
 
     /// The node of a box.
     fn find(&self, lattice: &Lattice, of: &CellBox) -> Option<usize> {
-        let mut at = CellBox { lo: [0; 3], hi: lattice.units() };
+        let mut at = CellBox {
+            lo: [0; 3],
+            hi: lattice.units(),
+        };
         let mut node = 0;
         while at != *of {
-            let KdNode::Split { axis, at: plane, upper } = self.nodes[node] else { return None };
+            let KdNode::Split {
+                axis,
+                at: plane,
+                upper,
+            } = self.nodes[node]
+            else {
+                return None;
+            };
             let plane = lattice.unit(axis, plane)?;
             let [below, above] = at.children(Split { axis, at: plane });
-            (node, at) = if of.hi[axis] <= plane { (node + 1, below) } else { (upper, above) };
+            (node, at) = if of.hi[axis] <= plane {
+                (node + 1, below)
+            } else {
+                (upper, above)
+            };
         }
         Some(node)
     }
@@ -183,7 +215,11 @@ impl KdTree {
                     let (min, max) = CellBox { lo, hi }.world(lattice);
                     for axis in 0..3 {
                         let width = f64::from(max[axis]) - f64::from(min[axis]);
-                        least = if width < least.0 { (width, axis) } else { least };
+                        least = if width < least.0 {
+                            (width, axis)
+                        } else {
+                            least
+                        };
                     }
                 }
                 KdNode::Split { axis, at, upper } => {
@@ -216,16 +252,24 @@ mod tests {
 
     /// Two rooms, the upper one divided by a wall at 0.
     fn rooms() -> Division {
-        Division::Tree(Arc::new(KdTree::new(&[1, 3, 0, 3, 3], &[0.5, -0.0]).unwrap()))
+        Division::Tree(Arc::new(
+            KdTree::new(&[1, 3, 0, 3, 3], &[0.5, -0.0]).unwrap(),
+        ))
     }
 
     #[test]
     fn planes_keep_their_coordinates() {
         let division = rooms();
-        let lattice = division.lattice(Vec3::splat(-1.0), Vec3::new(1.0, 2.0, 3.0)).unwrap();
+        let lattice = division
+            .lattice(Vec3::splat(-1.0), Vec3::new(1.0, 2.0, 3.0))
+            .unwrap();
         assert_eq!(lattice.units(), [2, 2, 1]);
         let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
-        let boxes: Vec<_> = plan.tiles.iter().map(|tile| tile.cell.world(&lattice)).collect();
+        let boxes: Vec<_> = plan
+            .tiles
+            .iter()
+            .map(|tile| tile.cell.world(&lattice))
+            .collect();
         assert_eq!(
             boxes,
             [
@@ -234,18 +278,31 @@ mod tests {
                 (Vec3::new(0.0, 0.5, -1.0), Vec3::new(1.0, 2.0, 3.0)),
             ]
         );
-        let numbers = plan.tiles.iter().map(|tile| division.number(&lattice, &tile.cell));
+        let numbers = plan
+            .tiles
+            .iter()
+            .map(|tile| division.number(&lattice, &tile.cell));
         assert_eq!(numbers.collect::<Vec<_>>(), [Some(0), Some(1), Some(2)]);
     }
 
     #[test]
     fn planes_outside_their_boxes_are_refused() {
         let of = |axes: &[u32], planes: &[f32]| {
-            Division::Tree(Arc::new(KdTree::new(axes, planes).unwrap())).lattice(Vec3::ZERO, Vec3::ONE)
+            Division::Tree(Arc::new(KdTree::new(axes, planes).unwrap()))
+                .lattice(Vec3::ZERO, Vec3::ONE)
         };
-        assert!(matches!(of(&[0, 3, 3], &[1.0]), Err(DivisionError::Plane(PlaneError { axis: 0, .. }))));
-        assert!(matches!(of(&[0, 3, 3], &[f32::NAN]), Err(DivisionError::Plane(_))));
-        assert!(matches!(of(&[0, 0, 3, 3, 3], &[0.5, 0.75]), Err(DivisionError::Plane(_))));
+        assert!(matches!(
+            of(&[0, 3, 3], &[1.0]),
+            Err(DivisionError::Plane(PlaneError { axis: 0, .. }))
+        ));
+        assert!(matches!(
+            of(&[0, 3, 3], &[f32::NAN]),
+            Err(DivisionError::Plane(_))
+        ));
+        assert!(matches!(
+            of(&[0, 0, 3, 3, 3], &[0.5, 0.75]),
+            Err(DivisionError::Plane(_))
+        ));
         assert_eq!(of(&[3], &[]).unwrap().units(), [1, 1, 1]);
     }
 

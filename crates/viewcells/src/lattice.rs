@@ -27,18 +27,31 @@ impl Lattice {
     /// The lattice of `cells` grid cells along each axis over the closed box `min` … `max`.
     /// [`crate::Division`] checks the arguments.
     pub(crate) fn new(min: Vec3, max: Vec3, cells: [u32; 3]) -> Self {
-        Self { min, max, units: cells.map(|c| c * UNITS_PER_CELL), planes: None }
+        Self {
+            min,
+            max,
+            units: cells.map(|c| c * UNITS_PER_CELL),
+            planes: None,
+        }
     }
 
     /// The lattice with a unit at each of these coordinates, ascending along each axis and inside the box.
     pub(crate) fn of_planes(min: Vec3, max: Vec3, planes: Arc<[Vec<f32>; 3]>) -> Self {
-        Self { min, max, units: planes.each_ref().map(|p| p.len() as u32 + 1), planes: Some(planes) }
+        Self {
+            min,
+            max,
+            units: planes.each_ref().map(|p| p.len() as u32 + 1),
+            planes: Some(planes),
+        }
     }
 
     /// The unit at a coordinate of such a lattice.
     pub(crate) fn unit(&self, axis: usize, at: f32) -> Option<u32> {
         let planes = self.planes.as_ref()?;
-        planes[axis].binary_search_by(|plane| plane.total_cmp(&at)).ok().map(|k| k as u32 + 1)
+        planes[axis]
+            .binary_search_by(|plane| plane.total_cmp(&at))
+            .ok()
+            .map(|k| k as u32 + 1)
     }
 
     /// Units along each axis.
@@ -64,7 +77,11 @@ impl Lattice {
 
     /// The world position of a lattice point.
     pub fn position(&self, p: LatticePoint) -> Vec3 {
-        Vec3::new(self.coordinate(0, p[0]), self.coordinate(1, p[1]), self.coordinate(2, p[2]))
+        Vec3::new(
+            self.coordinate(0, p[0]),
+            self.coordinate(1, p[1]),
+            self.coordinate(2, p[2]),
+        )
     }
 
     /// World length of `units` lattice units along `axis`, for a lattice that is evenly spaced.

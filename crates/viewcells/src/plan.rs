@@ -85,7 +85,10 @@ impl Plan {
     /// The plan for a division.
     pub fn new(division: &Division, lattice: &Lattice, layout: Layout) -> Self {
         let root = division.root(lattice);
-        let mut plan = Self { tiles: Vec::new(), outline: Vec::new() };
+        let mut plan = Self {
+            tiles: Vec::new(),
+            outline: Vec::new(),
+        };
         if let Layout::Blocks(most) = layout {
             plan.add_blocks(division, lattice, root, 0, u64::from(most));
             return plan;
@@ -121,17 +124,30 @@ impl Plan {
         let mut needs: Vec<u32> = (0..6)
             .filter(|&f| cell.face(f).at == root_face(f).at)
             .map(|f| f as u32)
-            .chain(above.iter().copied().filter(|&t| match self.tiles[t as usize].kind {
-                TileKind::Separator(s) => cell.lo[s.axis] == s.at || cell.hi[s.axis] == s.at,
-                TileKind::Face(_) | TileKind::Leaf => false,
-            }))
+            .chain(
+                above
+                    .iter()
+                    .copied()
+                    .filter(|&t| match self.tiles[t as usize].kind {
+                        TileKind::Separator(s) => {
+                            cell.lo[s.axis] == s.at || cell.hi[s.axis] == s.at
+                        }
+                        TileKind::Face(_) | TileKind::Leaf => false,
+                    }),
+            )
             .collect();
         needs.sort_unstable();
         match division.split(lattice, &cell, depth).filter(|_| cut_here) {
             Some(split) => {
                 let number = self.tiles.len() as u32;
                 self.outline.push(Outline::Split(split));
-                self.tiles.push(Tile { kind: TileKind::Separator(split), cell, depth, needs, cells: 0 });
+                self.tiles.push(Tile {
+                    kind: TileKind::Separator(split),
+                    cell,
+                    depth,
+                    needs,
+                    cells: 0,
+                });
                 above.push(number);
                 for child in cell.children(split) {
                     self.add(division, lattice, child, depth + 1, above, most);
@@ -140,12 +156,25 @@ impl Plan {
             }
             None => {
                 self.outline.push(Outline::Leaf(self.tiles.len() as u32));
-                self.tiles.push(Tile { kind: TileKind::Leaf, cell, depth, needs, cells });
+                self.tiles.push(Tile {
+                    kind: TileKind::Leaf,
+                    cell,
+                    depth,
+                    needs,
+                    cells,
+                });
             }
         }
     }
 
-    fn add_blocks(&mut self, division: &Division, lattice: &Lattice, cell: CellBox, depth: u32, most: u64) {
+    fn add_blocks(
+        &mut self,
+        division: &Division,
+        lattice: &Lattice,
+        cell: CellBox,
+        depth: u32,
+        most: u64,
+    ) {
         let cells = grid_cells(division, &cell);
         let cut_here = is_cut(division, cells > most, depth);
         match division.split(lattice, &cell, depth).filter(|_| cut_here) {
@@ -157,7 +186,13 @@ impl Plan {
             }
             None => {
                 self.outline.push(Outline::Leaf(self.tiles.len() as u32));
-                self.tiles.push(Tile { kind: TileKind::Leaf, cell, depth, needs: Vec::new(), cells });
+                self.tiles.push(Tile {
+                    kind: TileKind::Leaf,
+                    cell,
+                    depth,
+                    needs: Vec::new(),
+                    cells,
+                });
             }
         }
     }
@@ -165,13 +200,26 @@ impl Plan {
     /// A plan without a division: each tile has a number of things that are computed one by one, within
     /// `cell`, and needs no other tile.
     pub fn of_counts(cell: CellBox, counts: impl Iterator<Item = u64>) -> Self {
-        let tile = |cells| Tile { kind: TileKind::Leaf, cell, depth: 0, needs: Vec::new(), cells };
-        Self { tiles: counts.map(tile).collect(), outline: Vec::new() }
+        let tile = |cells| Tile {
+            kind: TileKind::Leaf,
+            cell,
+            depth: 0,
+            needs: Vec::new(),
+            cells,
+        };
+        Self {
+            tiles: counts.map(tile).collect(),
+            outline: Vec::new(),
+        }
     }
 
     /// Numbers of the leaf tiles, in the order of their cells.
     pub fn leaves(&self) -> impl Iterator<Item = u32> + '_ {
-        self.tiles.iter().enumerate().filter(|(_, t)| t.kind == TileKind::Leaf).map(|(i, _)| i as u32)
+        self.tiles
+            .iter()
+            .enumerate()
+            .filter(|(_, t)| t.kind == TileKind::Leaf)
+            .map(|(i, _)| i as u32)
     }
 }
 
@@ -188,9 +236,9 @@ fn is_cut(division: &Division, is_larger: bool, depth: u32) -> bool {
 /// The number of grid cells in a box; 1 for other divisions.
 fn grid_cells(division: &Division, cell: &CellBox) -> u64 {
     match division {
-        Division::Grid(_) => {
-            (0..3).map(|a| u64::from((cell.hi[a] - cell.lo[a]) / crate::UNITS_PER_CELL)).product()
-        }
+        Division::Grid(_) => (0..3)
+            .map(|a| u64::from((cell.hi[a] - cell.lo[a]) / crate::UNITS_PER_CELL))
+            .product(),
         Division::Adaptive { .. } | Division::Tree(_) => 1,
     }
 }

@@ -45,7 +45,10 @@ impl Rect {
     /// World lengths of the two sides.
     pub fn sides(&self, lattice: &Lattice) -> [f64; 2] {
         let (u, v) = Self::in_plane_axes(self.axis);
-        [lattice.length(u, self.hi[0] - self.lo[0]), lattice.length(v, self.hi[1] - self.lo[1])]
+        [
+            lattice.length(u, self.hi[0] - self.lo[0]),
+            lattice.length(v, self.hi[1] - self.lo[1]),
+        ]
     }
 
     /// Whether the rectangle spans more than one cell of the grid along some side.
@@ -69,7 +72,11 @@ impl Rect {
             if !self.spans_cells() && sides[i] < 0.5 * longest {
                 return None;
             }
-            let half = if several { (span / UNITS_PER_CELL / 2).max(1) * UNITS_PER_CELL } else { span / 2 };
+            let half = if several {
+                (span / UNITS_PER_CELL / 2).max(1) * UNITS_PER_CELL
+            } else {
+                span / 2
+            };
             Some(self.lo[i] + half)
         };
         let ranges = |i: usize| match cut(i) {
@@ -82,7 +89,11 @@ impl Rect {
         }
         vs.iter()
             .flat_map(|&(v0, v1)| us.iter().map(move |&(u0, u1)| (u0, u1, v0, v1)))
-            .map(|(u0, u1, v0, v1)| Self { lo: [u0, v0], hi: [u1, v1], ..*self })
+            .map(|(u0, u1, v0, v1)| Self {
+                lo: [u0, v0],
+                hi: [u1, v1],
+                ..*self
+            })
             .collect()
     }
 }

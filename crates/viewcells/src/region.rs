@@ -54,7 +54,16 @@ impl Region {
 
     /// The greatest triangle that names a plane; `None` when there is no plane.
     pub fn greatest_triangle(&self) -> Option<u32> {
-        self.nodes.iter().filter_map(|n| if let RegionNode::Split(t) = n { Some(*t) } else { None }).max()
+        self.nodes
+            .iter()
+            .filter_map(|n| {
+                if let RegionNode::Split(t) = n {
+                    Some(*t)
+                } else {
+                    None
+                }
+            })
+            .max()
     }
 
     /// The nodes as bytes: a LEB128 number for each, 0 outside, 1 inside, else the triangle plus 2.
@@ -84,15 +93,17 @@ impl Region {
         let mut nodes = Vec::new();
         while !bytes.is_empty() {
             let number = varint::read_shortest(&mut bytes, varint::MOST_BYTES);
-            nodes.push(match number.map_err(|_| RegionError("a number is malformed"))? {
-                0 => RegionNode::Outside,
-                1 => RegionNode::Inside,
-                n => {
-                    let triangle =
-                        u32::try_from(n - 2).map_err(|_| RegionError("a triangle is too great"))?;
-                    RegionNode::Split(triangle)
-                }
-            });
+            nodes.push(
+                match number.map_err(|_| RegionError("a number is malformed"))? {
+                    0 => RegionNode::Outside,
+                    1 => RegionNode::Inside,
+                    n => {
+                        let triangle = u32::try_from(n - 2)
+                            .map_err(|_| RegionError("a triangle is too great"))?;
+                        RegionNode::Split(triangle)
+                    }
+                },
+            );
         }
         let region = Self { nodes };
         region.check()?;

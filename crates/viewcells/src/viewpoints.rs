@@ -35,12 +35,20 @@ impl Viewpoints {
     /// No marks for a grid of this many cells, which [`crate::Division`] has checked.
     pub fn none(cells: [u32; 3]) -> Self {
         let count: usize = cells.iter().map(|c| *c as usize).product();
-        Self { cells, parts: vec![0; count], region: None }
+        Self {
+            cells,
+            parts: vec![0; count],
+            region: None,
+        }
     }
 
     /// The marks of a single cell.
     pub fn of_one(parts: u64) -> Self {
-        Self { cells: [1; 3], parts: vec![parts], region: None }
+        Self {
+            cells: [1; 3],
+            parts: vec![parts],
+            region: None,
+        }
     }
 
     /// The same marks, and a region outside which there are no viewpoints. A free segment that begins in the
@@ -83,7 +91,10 @@ impl Viewpoints {
     }
 
     fn place(&self, part: [u32; 3]) -> (usize, u32) {
-        let ([x, y, z], [nx, ny, _]) = (part.map(|p| (p / PARTS) as usize), self.cells.map(|c| c as usize));
+        let ([x, y, z], [nx, ny, _]) = (
+            part.map(|p| (p / PARTS) as usize),
+            self.cells.map(|c| c as usize),
+        );
         let [px, py, pz] = part.map(|p| p % PARTS);
         ((z * ny + y) * nx + x, (pz * PARTS + py) * PARTS + px)
     }
@@ -126,14 +137,18 @@ impl Viewpoints {
     /// [`ViewpointsError`] when the bytes are not those of [`Self::encode`], or no part is marked.
     pub fn decode(mut bytes: &[u8], cells: [u32; 3]) -> Result<Self, ViewpointsError> {
         if bytes.len() > MOST_BYTES {
-            return Err(ViewpointsError("they have too many bytes; use fewer or larger cells"));
+            return Err(ViewpointsError(
+                "they have too many bytes; use fewer or larger cells",
+            ));
         }
         let mut marks = Self::none(cells);
         let (mut at, mut before) = (0usize, None);
         while at < marks.parts.len() && !bytes.is_empty() {
             let length = varint::read(&mut bytes, varint::MOST_BYTES);
             let length = length.map_err(|_| ViewpointsError("a length is malformed"))?;
-            let (word, rest) = bytes.split_first_chunk::<8>().ok_or(ViewpointsError("they are cut short"))?;
+            let (word, rest) = bytes
+                .split_first_chunk::<8>()
+                .ok_or(ViewpointsError("they are cut short"))?;
             bytes = rest;
             let word = u64::from_le_bytes(*word);
             let end = usize::try_from(length).ok().and_then(|n| at.checked_add(n));
@@ -151,10 +166,13 @@ impl Viewpoints {
         }
         if !bytes.is_empty() {
             let region = Region::decode(bytes);
-            marks.region = Some(region.map_err(|_| ViewpointsError("their region cannot be read"))?);
+            marks.region =
+                Some(region.map_err(|_| ViewpointsError("their region cannot be read"))?);
         }
         if marks.reached() == 0 {
-            return Err(ViewpointsError("no part of any cell is marked; mark at least one"));
+            return Err(ViewpointsError(
+                "no part of any cell is marked; mark at least one",
+            ));
         }
         Ok(marks)
     }
@@ -197,7 +215,10 @@ mod tests {
     fn a_part_belongs_to_its_cell() {
         let mut marks = Viewpoints::none([2, 2, 1]);
         marks.mark([5, 3, 1]);
-        assert_eq!((0..4).map(|c| marks.of(c)).collect::<Vec<_>>(), [0, 1 << (16 + 12 + 1), 0, 0]);
+        assert_eq!(
+            (0..4).map(|c| marks.of(c)).collect::<Vec<_>>(),
+            [0, 1 << (16 + 12 + 1), 0, 0]
+        );
         assert!(Viewpoints::decode(&Viewpoints::none([2, 2, 1]).encode(), [2, 2, 1]).is_err());
     }
 }

@@ -4,9 +4,18 @@ use glam::Vec3;
 use proptest::prelude::*;
 use sightline_viewcells::{CellBox, Division, DivisionError, Plan, TileKind, UNITS_PER_CELL};
 
-fn leaves(d: &Division, l: &sightline_viewcells::Lattice, c: CellBox, depth: u32, out: &mut Vec<CellBox>) {
+fn leaves(
+    d: &Division,
+    l: &sightline_viewcells::Lattice,
+    c: CellBox,
+    depth: u32,
+    out: &mut Vec<CellBox>,
+) {
     match d.split(l, &c, depth) {
-        Some(s) => c.children(s).into_iter().for_each(|k| leaves(d, l, k, depth + 1, out)),
+        Some(s) => c
+            .children(s)
+            .into_iter()
+            .for_each(|k| leaves(d, l, k, depth + 1, out)),
         None => out.push(c),
     }
 }
@@ -109,7 +118,9 @@ proptest! {
 #[test]
 fn neighbours_agree_on_positions_to_the_bit() {
     let d = Division::Grid([7, 3, 5]);
-    let l = d.lattice(Vec3::new(-0.1, 1e-6, 3.3), Vec3::new(0.7, 1e6, 3.4)).unwrap();
+    let l = d
+        .lattice(Vec3::new(-0.1, 1e-6, 3.3), Vec3::new(0.7, 1e6, 3.4))
+        .unwrap();
     let mut cells = Vec::new();
     leaves(&d, &l, d.root(&l), 0, &mut cells);
     for c in &cells {
@@ -127,13 +138,41 @@ fn neighbours_agree_on_positions_to_the_bit() {
 
 #[test]
 fn nonsense_is_refused_by_name() {
-    let box_error = Division::Grid([1; 3]).lattice(Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0)).unwrap_err();
+    let box_error = Division::Grid([1; 3])
+        .lattice(Vec3::ZERO, Vec3::new(1.0, 0.0, 1.0))
+        .unwrap_err();
     assert!(matches!(box_error, DivisionError::Box { axis: 1, .. }));
-    let far =
-        Division::Grid([4096, 1, 1]).lattice(Vec3::splat(500_000.0), Vec3::splat(500_100.0)).unwrap_err();
-    assert!(matches!(far, DivisionError::TooFine { axis: 0, cells: 4096 }));
-    assert!(Division::Grid([0, 1, 1]).lattice(Vec3::ZERO, Vec3::ONE).is_err());
-    assert!(Division::Grid([32768, 32768, 1]).lattice(Vec3::ZERO, Vec3::ONE).is_err());
-    assert!(Division::Adaptive { budget: 0, max_depth: 3 }.lattice(Vec3::ZERO, Vec3::ONE).is_err());
-    assert!(Division::Grid([1; 3]).lattice(Vec3::NAN, Vec3::ONE).is_err());
+    let far = Division::Grid([4096, 1, 1])
+        .lattice(Vec3::splat(500_000.0), Vec3::splat(500_100.0))
+        .unwrap_err();
+    assert!(matches!(
+        far,
+        DivisionError::TooFine {
+            axis: 0,
+            cells: 4096
+        }
+    ));
+    assert!(
+        Division::Grid([0, 1, 1])
+            .lattice(Vec3::ZERO, Vec3::ONE)
+            .is_err()
+    );
+    assert!(
+        Division::Grid([32768, 32768, 1])
+            .lattice(Vec3::ZERO, Vec3::ONE)
+            .is_err()
+    );
+    assert!(
+        Division::Adaptive {
+            budget: 0,
+            max_depth: 3
+        }
+        .lattice(Vec3::ZERO, Vec3::ONE)
+        .is_err()
+    );
+    assert!(
+        Division::Grid([1; 3])
+            .lattice(Vec3::NAN, Vec3::ONE)
+            .is_err()
+    );
 }

@@ -49,15 +49,26 @@ impl Sightline {
         let mut visible = Vec::new();
         for cell in 0..pvs.cells() {
             pvs.visible_objects(cell, &mut visible)?;
-            visible.iter().for_each(|object| known[*object as usize] = true);
+            visible
+                .iter()
+                .for_each(|object| known[*object as usize] = true);
         }
-        Ok(Self { pvs, known, cell: None, visible })
+        Ok(Self {
+            pvs,
+            known,
+            cell: None,
+            visible,
+        })
     }
 
     /// The number of the object that a node of the glTF file draws as a primitive of its mesh.
     pub fn object(&self, node: u32, primitive: u32) -> Option<u32> {
         let is = |s: &sightline_pvs::Source| s.node == node && s.primitive == primitive;
-        let found = self.pvs.objects().iter().position(|object| object.source.as_ref().is_some_and(is));
+        let found = self
+            .pvs
+            .objects()
+            .iter()
+            .position(|object| object.source.as_ref().is_some_and(is));
         found.map(|number| number as u32)
     }
 
@@ -97,7 +108,9 @@ pub struct SightlinePlugin;
 impl Plugin for SightlinePlugin {
     fn build(&self, app: &mut App) {
         // The eye's place in this frame is known, and is not used to find what is visible yet.
-        let between = cull.after(TransformSystems::Propagate).before(VisibilitySystems::VisibilityPropagate);
+        let between = cull
+            .after(TransformSystems::Propagate)
+            .before(VisibilitySystems::VisibilityPropagate);
         app.add_systems(PostUpdate, between.run_if(resource_exists::<Sightline>));
     }
 }
@@ -111,7 +124,11 @@ fn cull(
     let moved = sightline.look_from(eye.translation().to_array())?;
     for (object, mut visibility) in &mut all {
         if moved || object.is_changed() {
-            let wanted = if sightline.shows(*object) { Visibility::Inherited } else { Visibility::Hidden };
+            let wanted = if sightline.shows(*object) {
+                Visibility::Inherited
+            } else {
+                Visibility::Hidden
+            };
             visibility.set_if_neq(wanted);
         }
     }

@@ -16,10 +16,21 @@ fn result() -> Pvs {
         name: format!("node{k}/mesh{k}#0"),
         first: 2 * k,
         count: 2,
-        source: Some(Source { node: 10 + k, mesh: k, primitive: 0, instance: None }),
+        source: Some(Source {
+            node: 10 + k,
+            mesh: k,
+            primitive: 0,
+            instance: None,
+        }),
     };
     let objects = (0..4).map(object).collect();
-    let header = Header { triangles: 8, method: "aggressive".into(), tree, objects, info_json: "{}".into() };
+    let header = Header {
+        triangles: 8,
+        method: "aggressive".into(),
+        tree,
+        objects,
+        info_json: "{}".into(),
+    };
     let mut builder = Builder::new(header).unwrap();
     // Object 0 is seen from the first cell, 2 from the second, 1 from both, 3 from none.
     builder.push_cell(&[0, 2], &[], 0).unwrap();
@@ -36,13 +47,29 @@ fn what_the_cell_of_the_camera_does_not_see_is_hidden() {
     app.insert_resource(Sightline::new(result()).unwrap());
     let number = |app: &App, node| app.world().resource::<Sightline>().object(node, 0);
     assert_eq!((number(&app, 12), number(&app, 14)), (Some(2), None));
-    let eye = app.world_mut().spawn((SightlineEye, Transform::default(), GlobalTransform::default())).id();
-    let spawn = |app: &mut App, k| app.world_mut().spawn((SightlineObject(k), Visibility::default())).id();
+    let eye = app
+        .world_mut()
+        .spawn((
+            SightlineEye,
+            Transform::default(),
+            GlobalTransform::default(),
+        ))
+        .id();
+    let spawn = |app: &mut App, k| {
+        app.world_mut()
+            .spawn((SightlineObject(k), Visibility::default()))
+            .id()
+    };
     let mut all: Vec<Entity> = (0..4).map(|k| spawn(&mut app, k)).collect();
     let shown = |all: &[Entity], app: &mut App, x: f32| -> Vec<bool> {
-        app.world_mut().get_mut::<Transform>(eye).unwrap().translation = [x, 0.5, 0.5].into();
+        app.world_mut()
+            .get_mut::<Transform>(eye)
+            .unwrap()
+            .translation = [x, 0.5, 0.5].into();
         app.update();
-        all.iter().map(|e| *app.world().get::<Visibility>(*e).unwrap() != Visibility::Hidden).collect()
+        all.iter()
+            .map(|e| *app.world().get::<Visibility>(*e).unwrap() != Visibility::Hidden)
+            .collect()
     };
     assert_eq!(shown(&all, &mut app, 0.5), [true, true, false, true]);
     assert_eq!(shown(&all, &mut app, 0.9), [true, true, false, true]);
@@ -54,6 +81,9 @@ fn what_the_cell_of_the_camera_does_not_see_is_hidden() {
     let late = spawn(&mut app, 0);
     all.push(late);
     app.update();
-    assert_eq!(*app.world().get::<Visibility>(late).unwrap(), Visibility::Hidden);
+    assert_eq!(
+        *app.world().get::<Visibility>(late).unwrap(),
+        Visibility::Hidden
+    );
     assert_eq!(app.world().resource::<Sightline>().cell(), Some(1));
 }

@@ -3,7 +3,10 @@
 //! Every function may be called from several threads at a time, but for `sightline_pvs_close` and
 //! `sightline_pvs_free`. Nothing here panics: what a file cannot give comes back as an error.
 
-#![allow(unsafe_code, reason = "C passes pointers; each function says what they must be")]
+#![allow(
+    unsafe_code,
+    reason = "C passes pointers; each function says what they must be"
+)]
 
 use std::ffi::{CStr, CString, c_char};
 use std::ptr;
@@ -27,9 +30,18 @@ fn text(of: &str) -> CString {
 fn opened(pvs: Result<Pvs, sightline_pvs::PvsError>, error: *mut *mut c_char) -> *mut SightlinePvs {
     match pvs {
         Ok(pvs) => {
-            let names = pvs.objects().iter().map(|object| text(&object.name)).collect();
+            let names = pvs
+                .objects()
+                .iter()
+                .map(|object| text(&object.name))
+                .collect();
             let (method, info) = (text(pvs.method()), text(pvs.info_json()));
-            Box::into_raw(Box::new(SightlinePvs { pvs, method, info, names }))
+            Box::into_raw(Box::new(SightlinePvs {
+                pvs,
+                method,
+                info,
+                names,
+            }))
         }
         Err(e) => {
             if !error.is_null() {
@@ -52,7 +64,9 @@ pub unsafe extern "C" fn sightline_pvs_open(
     error: *mut *mut c_char,
 ) -> *mut SightlinePvs {
     // SAFETY: as the caller promises.
-    let path = unsafe { CStr::from_ptr(path) }.to_string_lossy().into_owned();
+    let path = unsafe { CStr::from_ptr(path) }
+        .to_string_lossy()
+        .into_owned();
     opened(Pvs::open(path), error)
 }
 
@@ -67,7 +81,11 @@ pub unsafe extern "C" fn sightline_pvs_read(
     error: *mut *mut c_char,
 ) -> *mut SightlinePvs {
     // SAFETY: as the caller promises; a length of 0 needs no bytes.
-    let bytes = if length == 0 { &[][..] } else { unsafe { std::slice::from_raw_parts(bytes, length) } };
+    let bytes = if length == 0 {
+        &[][..]
+    } else {
+        unsafe { std::slice::from_raw_parts(bytes, length) }
+    };
     opened(Pvs::from_bytes(bytes), error)
 }
 
@@ -139,7 +157,12 @@ pub unsafe extern "C" fn sightline_pvs_object(
 ) -> *const c_char {
     // SAFETY: as the caller promises.
     let pvs = unsafe { &*pvs };
-    let Some((of, name)) = pvs.pvs.objects().get(object as usize).zip(pvs.names.get(object as usize)) else {
+    let Some((of, name)) = pvs
+        .pvs
+        .objects()
+        .get(object as usize)
+        .zip(pvs.names.get(object as usize))
+    else {
         return ptr::null();
     };
     for (place, number) in [(first, of.first), (count, of.count)] {
@@ -176,9 +199,17 @@ pub unsafe extern "C" fn sightline_pvs_info(pvs: *const SightlinePvs) -> *const 
 /// # Safety
 /// `pvs` is an opened result.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn sightline_pvs_cell_of(pvs: *const SightlinePvs, x: f32, y: f32, z: f32) -> i64 {
+pub unsafe extern "C" fn sightline_pvs_cell_of(
+    pvs: *const SightlinePvs,
+    x: f32,
+    y: f32,
+    z: f32,
+) -> i64 {
     // SAFETY: as the caller promises.
-    unsafe { &*pvs }.pvs.find_cell([x, y, z]).map_or(-1, i64::from)
+    unsafe { &*pvs }
+        .pvs
+        .find_cell([x, y, z])
+        .map_or(-1, i64::from)
 }
 
 /// The box of a cell: least x, y, z, then greatest x, y, z. False if there is no such cell.
@@ -186,9 +217,15 @@ pub unsafe extern "C" fn sightline_pvs_cell_of(pvs: *const SightlinePvs, x: f32,
 /// # Safety
 /// `pvs` is an opened result; `out` has room for six numbers.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn sightline_pvs_cell_box(pvs: *const SightlinePvs, cell: u32, out: *mut f32) -> bool {
+pub unsafe extern "C" fn sightline_pvs_cell_box(
+    pvs: *const SightlinePvs,
+    cell: u32,
+    out: *mut f32,
+) -> bool {
     // SAFETY: as the caller promises.
-    let Some(bounds) = unsafe { &*pvs }.pvs.cell_bounds(cell) else { return false };
+    let Some(bounds) = unsafe { &*pvs }.pvs.cell_bounds(cell) else {
+        return false;
+    };
     for (k, x) in bounds.as_flattened().iter().enumerate() {
         // SAFETY: as the caller promises.
         unsafe { *out.add(k) = *x };

@@ -7,7 +7,10 @@
 fn the_header_is_current() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).unwrap();
-    let made = cbindgen::Builder::new().with_src(root.join("src/lib.rs")).with_config(config).generate();
+    let made = cbindgen::Builder::new()
+        .with_src(root.join("src/lib.rs"))
+        .with_config(config)
+        .generate();
     let mut bytes = Vec::new();
     made.unwrap().write(&mut bytes);
     let path = root.join("include/sightline_pvs.h");
@@ -15,5 +18,9 @@ fn the_header_is_current() {
         std::fs::write(&path, &bytes).unwrap();
     }
     let is = std::fs::read(&path).unwrap();
-    assert!(is == bytes, "set SIGHTLINE_WRITE_HEADER=1 and run this test again to write {}", path.display());
+    assert!(
+        is == bytes,
+        "set SIGHTLINE_WRITE_HEADER=1 and run this test again to write {}",
+        path.display()
+    );
 }

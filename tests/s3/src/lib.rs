@@ -41,7 +41,10 @@ impl S3Server {
     }
 
     fn at(root: &Path, address: SocketAddr) -> Self {
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build();
         let runtime = runtime.unwrap();
         let listener = runtime.block_on(async {
             let socket = TcpSocket::new_v4().unwrap();
@@ -52,7 +55,11 @@ impl S3Server {
         });
         let address = listener.local_addr().unwrap();
         runtime.spawn(serve(listener, root.to_owned()));
-        Self { runtime: Some(runtime), address, root: root.to_owned() }
+        Self {
+            runtime: Some(runtime),
+            address,
+            root: root.to_owned(),
+        }
     }
 
     /// Where it listens, for `?endpoint=`.
@@ -97,8 +104,12 @@ impl S3Server {
 
     /// Parts of uploads that were neither completed nor aborted.
     pub fn open_parts(&self) -> usize {
-        let names = fs::read_dir(&self.root).unwrap().map(|e| e.unwrap().file_name());
-        names.filter(|name| name.to_str().unwrap().starts_with(".upload_id-")).count()
+        let names = fs::read_dir(&self.root)
+            .unwrap()
+            .map(|e| e.unwrap().file_name());
+        names
+            .filter(|name| name.to_str().unwrap().starts_with(".upload_id-"))
+            .count()
     }
 }
 
@@ -114,7 +125,9 @@ async fn serve(listener: TcpListener, root: PathBuf) {
     let service = service.build();
     let server = Builder::new(hyper_util::rt::TokioExecutor::new());
     while let Ok((stream, _)) = listener.accept().await {
-        let connection = server.serve_connection(TokioIo::new(stream), service.clone()).into_owned();
+        let connection = server
+            .serve_connection(TokioIo::new(stream), service.clone())
+            .into_owned();
         // Whoever breaks a connection off sees the error at its own end.
         tokio::spawn(async move { drop(connection.await) });
     }

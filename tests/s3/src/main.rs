@@ -4,7 +4,11 @@
 //!
 //! It serves until it is killed.
 
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "a helper of tests")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a helper of tests"
+)]
 
 use std::path::Path;
 

@@ -1,6 +1,10 @@
 //! Workers that compute nothing: they take tiles and send outputs of random sets as fast as they can.
 
-#![allow(clippy::unwrap_used, dead_code, reason = "helpers of tests, each of which uses a part")]
+#![allow(
+    clippy::unwrap_used,
+    dead_code,
+    reason = "helpers of tests, each of which uses a part"
+)]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -40,8 +44,16 @@ fn output(work: &Work, lease: &v1::Lease) -> Vec<u8> {
         }
         bits >> (id % 64) & 1 == 1
     });
-    let cell = CellSet { visible: visible.collect(), samples: lease.tile, ..CellSet::default() };
-    let sets = CellSets { nodes: vec![Node::Cell], cells: vec![cell], ..CellSets::default() };
+    let cell = CellSet {
+        visible: visible.collect(),
+        samples: lease.tile,
+        ..CellSet::default()
+    };
+    let sets = CellSets {
+        nodes: vec![Node::Cell],
+        cells: vec![cell],
+        ..CellSets::default()
+    };
     codec::encode(&TileOutput::Cells(sets)).unwrap()
 }
 
@@ -52,11 +64,25 @@ pub async fn work(url: &str, name: &str, work: &Work) {
 }
 
 /// Does the work of [`work`] as a worker with an instance. `before` runs before each tile, with its number.
-pub async fn work_with(url: &str, (name, instance): (&str, u64), work: &Work, before: &(dyn Fn(u32) + Sync)) {
-    let channel = tonic::transport::Channel::from_shared(url.to_owned()).unwrap().connect().await.unwrap();
+pub async fn work_with(
+    url: &str,
+    (name, instance): (&str, u64),
+    work: &Work,
+    before: &(dyn Fn(u32) + Sync),
+) {
+    let channel = tonic::transport::Channel::from_shared(url.to_owned())
+        .unwrap()
+        .connect()
+        .await
+        .unwrap();
     let mut client = WorkersClient::new(channel);
     let (say, said) = tokio::sync::mpsc::channel(16);
-    let send = async |message| say.send(v1::WorkerMessage { message: Some(message) }).await;
+    let send = async |message| {
+        say.send(v1::WorkerMessage {
+            message: Some(message),
+        })
+        .await
+    };
     let hello = v1::Hello {
         name: name.to_owned(),
         profiles: vec!["cpu/load".to_owned()],
@@ -68,7 +94,9 @@ pub async fn work_with(url: &str, (name, instance): (&str, u64), work: &Work, be
     let said = tokio_stream::wrappers::ReceiverStream::new(said);
     let mut heard = client.work(said).await.unwrap().into_inner();
     while !work.over.load(Ordering::Relaxed) {
-        let Some(message) = heard.next().await else { return };
+        let Some(message) = heard.next().await else {
+            return;
+        };
         match message.unwrap().message.unwrap() {
             Heard::Welcome(_) => {}
             Heard::Grant(grant) => {

@@ -45,7 +45,10 @@ impl Map {
         let mut words = vec![(u32::MAX, 0); whole.words()];
         for (number, (first, grid)) in blocks.iter().enumerate() {
             for at in grid.each() {
-                let (own, all) = (grid.slot(at), whole.slot([0, 1, 2].map(|a| first[a] + at[a])));
+                let (own, all) = (
+                    grid.slot(at),
+                    whole.slot([0, 1, 2].map(|a| first[a] + at[a])),
+                );
                 let word = &mut words[all.word as usize];
                 let here = (number as u32, own.word);
                 if own.bit != all.bit || (word.0 != u32::MAX && *word != here) {
@@ -55,7 +58,11 @@ impl Map {
             }
         }
         let sizes = blocks.iter().map(|(_, grid)| grid.words() as u32).collect();
-        Ok(Self { words, sizes, boxes: blocks.iter().map(|(_, grid)| grid.bounds()).collect() })
+        Ok(Self {
+            words,
+            sizes,
+            boxes: blocks.iter().map(|(_, grid)| grid.bounds()).collect(),
+        })
     }
 }
 
@@ -94,7 +101,10 @@ impl Exchange {
         let table = |rows| SeenBits::new(rows, whole.words());
         let own = table(if counts_finds { rows } else { 0 });
         Self {
-            tables: RwLock::new(Tables { own, others: table(rows) }),
+            tables: RwLock::new(Tables {
+                own,
+                others: table(rows),
+            }),
             counts_finds,
             barrier: Barrier::new(members),
             parcels: map.sizes.iter().map(|_| Mutex::default()).collect(),
@@ -119,7 +129,9 @@ impl Exchange {
                     None => from[word],
                 };
                 if seen != 0 {
-                    tables.own.add(row as usize * self.map.words.len() + word, seen);
+                    tables
+                        .own
+                        .add(row as usize * self.map.words.len() + word, seen);
                 }
             }
         }
@@ -154,7 +166,10 @@ impl Exchange {
             });
             counts.all += counts.by_others;
             if self.counts_finds {
-                counts.bytes = sent.iter().map(|parcel| finds(0, parcel).len() as u64).sum();
+                counts.bytes = sent
+                    .iter()
+                    .map(|parcel| finds(0, parcel).len() as u64)
+                    .sum();
             } else {
                 parcels = sent;
             }
@@ -163,19 +178,36 @@ impl Exchange {
             for (place, parcel) in self.parcels.iter().zip(parcels) {
                 *place.lock().unwrap_or_else(PoisonError::into_inner) = parcel;
             }
-            self.counts.lock().unwrap_or_else(PoisonError::into_inner).push(counts);
+            self.counts
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(counts);
         }
         self.barrier.wait();
     }
 
     /// The counts of all merges.
     pub fn counts(&self) -> Vec<Counts> {
-        self.counts.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.counts
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 
     /// Notes what the line of a lane shows; `step` is that of the block.
-    fn note(&self, tables: &Tables, (caster, is_seed): (Caster, bool), line: Line<'_>, out: &mut Crossed) {
-        let Line { ahead, behind, lane, step } = line;
+    fn note(
+        &self,
+        tables: &Tables,
+        (caster, is_seed): (Caster, bool),
+        line: Line<'_>,
+        out: &mut Crossed,
+    ) {
+        let Line {
+            ahead,
+            behind,
+            lane,
+            step,
+        } = line;
         let ends = [ahead.triangle[lane], behind.triangle[lane]];
         if ends == [SKY; 2] {
             return;
@@ -187,7 +219,9 @@ impl Exchange {
             for (from, to) in [(from, to.min(enters)), (from.max(leaves), to)] {
                 if from < to {
                     self.whole.walk(origin, direction, from, to, out);
-                    ends.into_iter().filter(|t| *t != SKY).for_each(|t| tables.others.credit(t, out));
+                    ends.into_iter()
+                        .filter(|t| *t != SKY)
+                        .for_each(|t| tables.others.credit(t, out));
                 }
             }
             return;
@@ -215,11 +249,18 @@ impl Exchange {
 fn through((min, max): (Vec3, Vec3), origin: [f32; 3], direction: [f32; 3]) -> (f32, f32) {
     let (mut enters, mut leaves) = (f32::NEG_INFINITY, f32::INFINITY);
     for a in 0..3 {
-        let (u, v) = ((min[a] - origin[a]) / direction[a], (max[a] - origin[a]) / direction[a]);
+        let (u, v) = (
+            (min[a] - origin[a]) / direction[a],
+            (max[a] - origin[a]) / direction[a],
+        );
         enters = enters.max(u.min(v));
         leaves = leaves.min(u.max(v));
     }
-    if enters < leaves { (enters, leaves) } else { (f32::INFINITY, f32::INFINITY) }
+    if enters < leaves {
+        (enters, leaves)
+    } else {
+        (f32::INFINITY, f32::INFINITY)
+    }
 }
 
 /// A traced line.
@@ -245,7 +286,12 @@ pub struct Member<'a> {
 
 impl<'a> Member<'a> {
     /// A member whose block has the least step `step`.
-    pub fn new(exchange: &'a Exchange, caster: Caster, step: f32, rounds: Option<&'a [u32]>) -> Self {
+    pub fn new(
+        exchange: &'a Exchange,
+        caster: Caster,
+        step: f32,
+        rounds: Option<&'a [u32]>,
+    ) -> Self {
         Self {
             exchange,
             caster,
@@ -266,8 +312,12 @@ impl<'a> Member<'a> {
     }
 
     fn parcel(&self) -> Vec<(usize, u64)> {
-        let Caster::Block(block) = self.caster else { return Vec::new() };
-        let mut parcel = self.exchange.parcels[block as usize].lock().unwrap_or_else(PoisonError::into_inner);
+        let Caster::Block(block) = self.caster else {
+            return Vec::new();
+        };
+        let mut parcel = self.exchange.parcels[block as usize]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         std::mem::take(&mut *parcel)
     }
 }
@@ -287,7 +337,8 @@ impl Crew for Member<'_> {
             return Alone.run(phase);
         }
         let number = self.phases.fetch_add(1, Relaxed);
-        self.state.store(if number == 3 { SEEDS } else { SEARCH }, Relaxed);
+        self.state
+            .store(if number == 3 { SEEDS } else { SEARCH }, Relaxed);
         Alone.run(phase)?;
         let Some(rounds) = self.rounds else {
             self.exchange.merge();
@@ -335,19 +386,36 @@ impl Noting<'_> {
         if state == NOTHING || packets.len() < 2 {
             return;
         }
-        let tables = self.member.exchange.tables.read().unwrap_or_else(PoisonError::into_inner);
+        let tables = self
+            .member
+            .exchange
+            .tables
+            .read()
+            .unwrap_or_else(PoisonError::into_inner);
         // Either each packet comes before its reverse, or all packets come before all reverses.
-        let opposite = |a: &Packet, b: &Packet| (0..3).all(|k| a.direction[k][0] == -b.direction[k][0]);
+        let opposite =
+            |a: &Packet, b: &Packet| (0..3).all(|k| a.direction[k][0] == -b.direction[k][0]);
         let pairs = packets.len() / 2;
         let by_turns = opposite(&packets[0], &packets[1]);
         let mut crossed = Crossed::new();
         for k in 0..pairs {
-            let [a, b] = if by_turns { [2 * k, 2 * k + 1] } else { [k, k + pairs] };
+            let [a, b] = if by_turns {
+                [2 * k, 2 * k + 1]
+            } else {
+                [k, k + pairs]
+            };
             let (ahead, behind) = (&packets[a], &packets[b]);
             for lane in 0..ahead.count {
-                let line = Line { ahead, behind, lane, step: self.member.step };
+                let line = Line {
+                    ahead,
+                    behind,
+                    lane,
+                    step: self.member.step,
+                };
                 let caster = (self.member.caster, state == SEEDS);
-                self.member.exchange.note(&tables, caster, line, &mut crossed);
+                self.member
+                    .exchange
+                    .note(&tables, caster, line, &mut crossed);
             }
         }
     }

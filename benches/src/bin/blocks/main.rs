@@ -63,21 +63,31 @@ enum Variant {
     /// Blocks of so many cells that share nothing.
     Apart(u32),
     /// Blocks of so many cells, with an exchange after these rounds.
-    InStep { cells: u32, rounds: Vec<u32>, counts: bool },
+    InStep {
+        cells: u32,
+        rounds: Vec<u32>,
+        counts: bool,
+    },
     /// One block, of which parts of so many cells are told apart.
     Counted(u32),
 }
 
 impl Variant {
     fn parse(text: &str) -> Result<Self, AnyError> {
-        let (rest, counts) = text.strip_suffix('?').map_or((text, false), |rest| (rest, true));
+        let (rest, counts) = text
+            .strip_suffix('?')
+            .map_or((text, false), |rest| (rest, true));
         Ok(match (rest.split_once(':'), counts) {
             (Some((cells, rounds)), counts) => {
                 let rounds: Result<_, _> = match rounds {
                     "all" => Ok((1..=MOST_ROUNDS).collect()),
                     some => some.split(',').map(str::parse).collect(),
                 };
-                Self::InStep { cells: cells.parse()?, rounds: rounds?, counts }
+                Self::InStep {
+                    cells: cells.parse()?,
+                    rounds: rounds?,
+                    counts,
+                }
             }
             (None, true) => Self::Counted(rest.parse()?),
             (None, false) => Self::Apart(rest.parse()?),
@@ -165,7 +175,12 @@ impl Job<'_> {
         block.sample(target, &[], Tolerance::Raised)?;
         end();
         let bits = block.bits();
-        let row = |id: &u32| bits.row(*id).iter().map(|w| u64::from(w.count_ones())).sum::<u64>();
+        let row = |id: &u32| {
+            bits.row(*id)
+                .iter()
+                .map(|w| u64::from(w.count_ones()))
+                .sum::<u64>()
+        };
         let seen = lines.shown.par_iter().map(row).sum();
         block.look(1, HELD_OUT)?;
         Ok((block.stats().to_vec(), seen))
@@ -189,7 +204,10 @@ impl Job<'_> {
             };
             let rows = range(2).flat_map(|z| range(1).map(move |y| (z, y)));
             for at in rows.flat_map(|(z, y)| range(0).map(move |x| [x, y, z])) {
-                let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
+                let cell = Aabb {
+                    min: corner(at),
+                    max: corner(at.map(|c| c + 1)),
+                };
                 if overlap::triangle_touches_box(triangle, &cell) {
                     let slot = block.grid().slot(at);
                     block.bits().credit(*id, &[(slot.word, 1 << slot.bit)]);
@@ -203,7 +221,10 @@ impl Job<'_> {
         let sight = Sight::new(self.backend, self.scene.traced())?;
         let tiles = self.plan(cells);
         let rays = Rays::default();
-        let mut outcome = Outcome { blocks: tiles.len(), ..Outcome::default() };
+        let mut outcome = Outcome {
+            blocks: tiles.len(),
+            ..Outcome::default()
+        };
         let mut seconds = 0.0;
         for tile in &tiles {
             let start = processor_seconds()?;
@@ -254,7 +275,10 @@ impl Job<'_> {
             let caster = block.map_or(Caster::Origin, Caster::Block);
             let member = Member::new(&exchange, caster, step, rounds);
             let tracer = self.backend.lines(LineSet::Blocking, distinct)?;
-            let sight = Sight::opaque(Box::new(Noting { tracer, member: &member }));
+            let sight = Sight::opaque(Box::new(Noting {
+                tracer,
+                member: &member,
+            }));
             let cast = Rays::default();
             self.sample(
                 tile,
@@ -272,10 +296,20 @@ impl Job<'_> {
         };
         let run = &run;
         let done: Vec<_> = std::thread::scope(|scope| {
-            let threads: Vec<_> = tiles.iter().enumerate().map(|t| scope.spawn(move || run(t))).collect();
-            threads.into_iter().map(|t| t.join().unwrap_or_else(|_| Err("a block failed".into()))).collect()
+            let threads: Vec<_> = tiles
+                .iter()
+                .enumerate()
+                .map(|t| scope.spawn(move || run(t)))
+                .collect();
+            threads
+                .into_iter()
+                .map(|t| t.join().unwrap_or_else(|_| Err("a block failed".into())))
+                .collect()
         });
-        let mut outcome = Outcome { blocks: tiles.len(), ..Outcome::default() };
+        let mut outcome = Outcome {
+            blocks: tiles.len(),
+            ..Outcome::default()
+        };
         for result in done {
             let (stats, seen) = result?;
             outcome.stats.extend(stats);
@@ -290,9 +324,11 @@ impl Job<'_> {
     fn run(&self, variant: &Variant, target: f64) -> Result<Outcome, AnyError> {
         match variant {
             Variant::Apart(cells) => self.apart(*cells, target),
-            Variant::InStep { cells, rounds, counts } => {
-                self.in_step(*cells, (Some(rounds), *counts), target)
-            }
+            Variant::InStep {
+                cells,
+                rounds,
+                counts,
+            } => self.in_step(*cells, (Some(rounds), *counts), target),
             Variant::Counted(cells) => self.in_step(*cells, (None, true), target),
         }
     }
@@ -301,8 +337,16 @@ impl Job<'_> {
 /// Seconds that this process has used on all processors; the clock has a hundred ticks a second.
 fn processor_seconds() -> Result<f64, AnyError> {
     let stat = read_to_string("/proc/self/stat")?;
-    let rest = stat.rsplit_once(") ").ok_or("/proc/self/stat has another form")?.1;
-    let ticks: u64 = rest.split(' ').skip(11).take(2).filter_map(|n| n.parse::<u64>().ok()).sum();
+    let rest = stat
+        .rsplit_once(") ")
+        .ok_or("/proc/self/stat has another form")?
+        .1;
+    let ticks: u64 = rest
+        .split(' ')
+        .skip(11)
+        .take(2)
+        .filter_map(|n| n.parse::<u64>().ok())
+        .sum();
     Ok(ticks as f64 / 100.0)
 }
 
@@ -312,7 +356,9 @@ fn cost_at(curve: &[(f64, f64)], missed: f64) -> Option<f64> {
     let mut curve: Vec<_> = curve.iter().map(|(m, r)| (m.ln(), r.ln())).collect();
     curve.sort_by(|a, b| a.0.total_cmp(&b.0));
     let at = missed.ln();
-    let upper = curve.partition_point(|(m, _)| *m < at).clamp(1, curve.len().checked_sub(1)?.max(1));
+    let upper = curve
+        .partition_point(|(m, _)| *m < at)
+        .clamp(1, curve.len().checked_sub(1)?.max(1));
     let [(m0, r0), (m1, r1)] = [*curve.get(upper - 1)?, *curve.get(upper)?];
     Some((r0 + (r1 - r0) * (at - m0) / (m1 - m0)).exp())
 }
@@ -335,7 +381,10 @@ fn print_rounds(outcome: &Outcome) {
 }
 
 fn percent(counts: &exchange::Counts) -> String {
-    format!("{:.1} %", 100.0 * counts.by_others as f64 / counts.all.max(1) as f64)
+    format!(
+        "{:.1} %",
+        100.0 * counts.by_others as f64 / counts.all.max(1) as f64
+    )
 }
 
 fn main() -> Result<(), AnyError> {
@@ -345,7 +394,10 @@ fn main() -> Result<(), AnyError> {
     };
     let cells: Vec<u32> = cells.split('x').map(str::parse).collect::<Result<_, _>>()?;
     let division = Division::Grid(cells.try_into().map_err(|_| "cells are given as 16x16x8")?);
-    let mut targets: Vec<f64> = targets.split(',').map(str::parse).collect::<Result<_, _>>()?;
+    let mut targets: Vec<f64> = targets
+        .split(',')
+        .map(str::parse)
+        .collect::<Result<_, _>>()?;
     targets.retain(|t| *t <= MOST_TARGET);
     let scene = Arc::new(sightline_scene::load(Path::new(path))?);
     if !scene.kinds().all_opaque() || !scene.sides().are_both() {
@@ -355,8 +407,16 @@ fn main() -> Result<(), AnyError> {
     let params = SamplingParams::default();
     let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&params))?;
     let scene = PreparedScene::new(scene)?;
-    let job = Job { scene: &scene, backend: &backend, division, lattice, seed: 0 };
-    println!("| cells | target | blocks | rays, M | seeds, M | s | missed | seen | same missed: rays | s |");
+    let job = Job {
+        scene: &scene,
+        backend: &backend,
+        division,
+        lattice,
+        seed: 0,
+    };
+    println!(
+        "| cells | target | blocks | rays, M | seeds, M | s | missed | seen | same missed: rays | s |"
+    );
     println!("|---|---|---|---|---|---|---|---|---|---|");
     let mut first: [Vec<(f64, f64)>; 2] = Default::default();
     for (number, text) in variants.iter().enumerate() {
@@ -371,7 +431,8 @@ fn main() -> Result<(), AnyError> {
         }
         for (target, o) in targets.iter().zip(&outcomes) {
             let relative = |cost: f64, curve: &[(f64, f64)]| {
-                cost_at(curve, o.missed()).map_or_else(|| "-".to_owned(), |c| format!("{:.2}", cost / c))
+                cost_at(curve, o.missed())
+                    .map_or_else(|| "-".to_owned(), |c| format!("{:.2}", cost / c))
             };
             let from_cells = o.sum(|s| s.rays[..3].iter().sum());
             println!(
@@ -386,9 +447,14 @@ fn main() -> Result<(), AnyError> {
                 relative(o.seconds, &first[1])
             );
             if matches!(variant, Variant::InStep { counts: true, .. }) {
-                let gave = |c: &exchange::Counts| format!("{}, {:.1} MB", percent(c), c.bytes as f64 / 1e6);
+                let gave = |c: &exchange::Counts| {
+                    format!("{}, {:.1} MB", percent(c), c.bytes as f64 / 1e6)
+                };
                 let gave: Vec<String> = o.exchanged.iter().map(gave).collect();
-                println!("New finds given by other blocks, and bytes sent: {}", gave.join("; "));
+                println!(
+                    "New finds given by other blocks, and bytes sent: {}",
+                    gave.join("; ")
+                );
             }
             if matches!(variant, Variant::Counted(_)) {
                 print_rounds(o);

@@ -77,7 +77,9 @@ struct Args {
 fn cells(text: &str) -> Result<[u32; 3], String> {
     let sides: Result<Vec<u32>, _> = text.split('x').map(str::parse).collect();
     let sides = sides.ok().and_then(|s| <[u32; 3]>::try_from(s).ok());
-    sides.filter(|s| !s.contains(&0)).ok_or_else(|| "give three numbers, as in 8x8x8".to_owned())
+    sides
+        .filter(|s| !s.contains(&0))
+        .ok_or_else(|| "give three numbers, as in 8x8x8".to_owned())
 }
 
 fn trace(args: &Args) -> Result<Trace, AnyError> {
@@ -85,7 +87,9 @@ fn trace(args: &Args) -> Result<Trace, AnyError> {
         return Ok(serde_json::from_slice(&std::fs::read(path)?)?);
     }
     // One thread computes at a time, so the time of the process is that of the work.
-    rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build_global()?;
     let wanted = Wanted {
         cells: args.cells,
         target_error: args.target_error,
@@ -110,7 +114,10 @@ fn main() -> Result<(), AnyError> {
         true => &trace.blocks[i],
         false => &trace.blocks[(random.bits() % all as u64) as usize],
     });
-    let job = Job { scene: &trace.scene, tiles: tiles.collect() };
+    let job = Job {
+        scene: &trace.scene,
+        tiles: tiles.collect(),
+    };
     let network = Network {
         latency: (args.latency * 1e6) as u64,
         worker: args.bandwidth * 1e9,

@@ -56,7 +56,11 @@ pub fn measure(path: &Path, wanted: &Wanted) -> Result<Trace, AnyError> {
         Scene::from_blob("the scene as a worker fetches it", &blob)
     });
     let scene = Arc::new(scene?);
-    let mut spec = JobSpec::new(scene.digest().0, Division::Grid(wanted.cells), scene.bounds());
+    let mut spec = JobSpec::new(
+        scene.digest().0,
+        Division::Grid(wanted.cells),
+        scene.bounds(),
+    );
     if let Some(target) = wanted.target_error {
         spec.sampling.target_error = target;
     }
@@ -79,11 +83,25 @@ pub fn measure(path: &Path, wanted: &Wanted) -> Result<Trace, AnyError> {
     for tile in chosen(&leaves, wanted) {
         let cells = plan.tiles[tile as usize].cells;
         let block = tile_trace(&spec, (tile, cells), &prepared, &backend, wanted.repeats)?;
-        eprintln!("tile {tile}: {:.2} s, {} phases", block.alone() as f64 / 1e9, block.phases.len());
+        eprintln!(
+            "tile {tile}: {:.2} s, {} phases",
+            block.alone() as f64 / 1e9,
+            block.phases.len()
+        );
         blocks.push(block);
     }
     let cells = wanted.cells.iter().map(|c| u64::from(*c)).product();
-    Ok(Trace { scene: SceneTrace { load, bytes, parse, facts }, tiles: leaves.len(), cells, blocks })
+    Ok(Trace {
+        scene: SceneTrace {
+            load,
+            bytes,
+            parse,
+            facts,
+        },
+        tiles: leaves.len(),
+        cells,
+        blocks,
+    })
 }
 
 /// The tiles to measure: all, or some by chance.
@@ -110,7 +128,11 @@ fn tile_trace(
 ) -> Result<BlockTrace, AnyError> {
     let bake = |role| -> Result<_, AnyError> {
         let recorder = Recorder::new(role, cells);
-        let control = Control { watcher: &Unwatched, deadline: None, crew: &recorder };
+        let control = Control {
+            watcher: &Unwatched,
+            deadline: None,
+            crew: &recorder,
+        };
         let done = run_tile(spec, tile, scene, backend, &[], control)?;
         Ok((recorder.ended(done.bytes.len() as u64), done.bytes))
     };
@@ -132,21 +154,38 @@ fn tile_trace(
 /// The time to read a tile's output and to write its sets as a result.
 fn assemble(scene: &Scene, bytes: &[u8]) -> Result<u64, AnyError> {
     let build = || -> Result<(), AnyError> {
-        let TileOutput::Cells(sets) = codec::decode(bytes, scene.len())? else { return Ok(()) };
+        let TileOutput::Cells(sets) = codec::decode(bytes, scene.len())? else {
+            return Ok(());
+        };
         let node = |node: &Node| match node {
-            Node::Split(s) => PvsNode::Split { axis: s.axis as u8, at: s.at as f32 },
+            Node::Split(s) => PvsNode::Split {
+                axis: s.axis as u8,
+                at: s.at as f32,
+            },
             Node::Cell => PvsNode::Leaf,
         };
         let largest = f64::from(u32::MAX) as f32;
-        let tree = CellTree::new([[0.0; 3], [largest; 3]], sets.nodes.iter().map(node).collect())?;
+        let tree = CellTree::new(
+            [[0.0; 3], [largest; 3]],
+            sets.nodes.iter().map(node).collect(),
+        )?;
         let mut builder = Builder::new(Header {
             triangles: scene.len(),
             method: spec_method(),
             tree,
-            objects: vec![Object { name: String::new(), first: 0, count: scene.len(), source: None }],
+            objects: vec![Object {
+                name: String::new(),
+                first: 0,
+                count: scene.len(),
+                source: None,
+            }],
             info_json: String::new(),
         })?;
-        let cells = sets.cells.iter().map(|c| Cell { visible: &c.visible, undecided: &[], flags: 0 });
+        let cells = sets.cells.iter().map(|c| Cell {
+            visible: &c.visible,
+            undecided: &[],
+            flags: 0,
+        });
         builder.push_cells(&cells.collect::<Vec<_>>())?;
         builder.finish(&mut Vec::new())?;
         Ok(())

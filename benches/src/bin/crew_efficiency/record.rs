@@ -36,8 +36,22 @@ pub struct State {
 impl Recorder {
     /// A recorder of a tile that begins now.
     pub fn new(role: As, cells: u64) -> Self {
-        let block = BlockTrace { cells, begin: 0, phases: Vec::new(), end: 0, output: 0, assemble: 0 };
-        Self { role, state: Mutex::new(State { block, outcomes: Vec::new(), last: now() }) }
+        let block = BlockTrace {
+            cells,
+            begin: 0,
+            phases: Vec::new(),
+            end: 0,
+            output: 0,
+            assemble: 0,
+        };
+        Self {
+            role,
+            state: Mutex::new(State {
+                block,
+                outcomes: Vec::new(),
+                last: now(),
+            }),
+        }
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -47,7 +61,10 @@ impl Recorder {
 
     /// The recording of a tile that has ended with `output` bytes.
     pub fn ended(self, output: u64) -> State {
-        let mut state = self.state.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let mut state = self
+            .state
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner);
         state.block.end = now() - state.last;
         state.block.output = output;
         state
@@ -80,7 +97,12 @@ impl Crew for Recorder {
         for item in 0..phase.items() {
             let (done, compute) = timed(|| phase.compute(item, &|| false));
             done?;
-            let mut trace = ItemTrace { compute, take: 0, bytes: 0, add: 0 };
+            let mut trace = ItemTrace {
+                compute,
+                take: 0,
+                bytes: 0,
+                add: 0,
+            };
             if let As::Helper(_) = self.role {
                 let (found, take) = timed(|| phase.take(&[item]));
                 (trace.take, trace.bytes) = (take, found.len() as u64);
@@ -96,14 +118,24 @@ impl Crew for Recorder {
         let (outcome, encode) = match &self.role {
             As::Leader => timed(|| phase.outcome()),
             As::Helper(outcomes) => {
-                let outcome = outcomes.get(state.block.phases.len()).ok_or(TileError::Cancelled)?;
+                let outcome = outcomes
+                    .get(state.block.phases.len())
+                    .ok_or(TileError::Cancelled)?;
                 (outcome.clone(), u64::MAX)
             }
         };
         let (added, add) = timed(|| phase.add(&outcome));
         added.map_err(foreign)?;
         let bytes = outcome.len() as u64;
-        state.block.phases.push(PhaseTrace { prepare, costs, items, encode, outcome: bytes, add, gap: 0 });
+        state.block.phases.push(PhaseTrace {
+            prepare,
+            costs,
+            items,
+            encode,
+            outcome: bytes,
+            add,
+            gap: 0,
+        });
         state.outcomes.push(outcome);
         state.last = now();
         Ok(())

@@ -8,7 +8,12 @@ fn seconds(ns: u64) -> f64 {
 }
 
 /// Simulates and prints.
-pub fn print(trace: &Trace, job: &Job<'_>, workers: &[usize], settings: impl Fn(usize, bool) -> Settings) {
+pub fn print(
+    trace: &Trace,
+    job: &Job<'_>,
+    workers: &[usize],
+    settings: impl Fn(usize, bool) -> Settings,
+) {
     let scene = job.scene;
     let sampling: u64 = job.tiles.iter().map(|t| t.alone()).sum();
     let assemble: u64 = job.tiles.iter().map(|t| t.assemble).sum();

@@ -102,7 +102,8 @@ impl PhaseTrace {
     /// grow as a power of the number of items, which the measured sizes of one and of all items give.
     pub fn finds(&self, items: &[u32]) -> u64 {
         let sum: u64 = items.iter().map(|i| self.items[*i as usize].bytes).sum();
-        let mean = self.items.iter().map(|i| i.bytes).sum::<u64>() as f64 / self.items.len().max(1) as f64;
+        let mean =
+            self.items.iter().map(|i| i.bytes).sum::<u64>() as f64 / self.items.len().max(1) as f64;
         if items.len() < 2 || mean <= 0.0 {
             return sum;
         }
@@ -119,7 +120,10 @@ impl PhaseTrace {
 
     /// Decoding and adding the finds of some items.
     pub fn add_finds(&self, items: &[u32]) -> u64 {
-        let (bytes, add) = self.items.iter().fold((0, 0), |(b, a), i| (b + i.bytes, a + i.add));
+        let (bytes, add) = self
+            .items
+            .iter()
+            .fold((0, 0), |(b, a), i| (b + i.bytes, a + i.add));
         self.finds(items) * add / bytes.max(1)
     }
 }
@@ -129,12 +133,19 @@ impl BlockTrace {
     pub fn least(&mut self, other: &Self) {
         self.begin = self.begin.min(other.begin);
         self.end = self.end.min(other.end);
-        self.phases.iter_mut().zip(&other.phases).for_each(|(a, b)| a.least(b));
+        self.phases
+            .iter_mut()
+            .zip(&other.phases)
+            .for_each(|(a, b)| a.least(b));
     }
 
     /// The time of one worker alone, without the bytes of outcomes.
     pub fn alone(&self) -> u64 {
-        let phases: u64 = self.phases.iter().map(|p| p.prepare + p.work() + p.gap).sum();
+        let phases: u64 = self
+            .phases
+            .iter()
+            .map(|p| p.prepare + p.work() + p.gap)
+            .sum();
         self.begin + phases + self.end
     }
 }

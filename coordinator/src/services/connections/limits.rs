@@ -61,7 +61,8 @@ impl ConnectionLimits {
     /// Returns the limits for a process that may have this many descriptors: three eighths stay for files, a
     /// third of the others is reserved for workers.
     pub fn for_descriptors(descriptors: u64) -> Self {
-        let sockets = usize::try_from(descriptors - descriptors / 8 * RESERVED_EIGHTHS).unwrap_or(usize::MAX);
+        let sockets =
+            usize::try_from(descriptors - descriptors / 8 * RESERVED_EIGHTHS).unwrap_or(usize::MAX);
         let workers = (sockets / 3).clamp(1, MAX_WORKERS);
         let general = sockets.saturating_sub(workers).clamp(1, MAX_GENERAL);
         Self {
@@ -119,17 +120,29 @@ mod tests {
         for descriptors in [64, 256, 1024, 4096, 65_536, u64::MAX] {
             let limits = ConnectionLimits::for_descriptors(descriptors);
             let sockets = (limits.general + limits.workers) as u64;
-            assert!(sockets <= descriptors - descriptors / 4, "{descriptors}: {limits:?}");
+            assert!(
+                sockets <= descriptors - descriptors / 4,
+                "{descriptors}: {limits:?}"
+            );
             assert!(limits.of_address < limits.general && limits.handshakes <= limits.general);
             assert!(limits.handshakes_of_address <= 64 && limits.handshakes <= 1024);
-            let seconds = [limits.handshake, limits.idle, limits.silence, limits.call_silence, limits.unread];
+            let seconds = [
+                limits.handshake,
+                limits.idle,
+                limits.silence,
+                limits.call_silence,
+                limits.unread,
+            ];
             assert_eq!(seconds.map(|limit| limit.as_secs()), [5, 30, 30, 60, 60]);
         }
     }
 
     #[test]
     fn few_descriptors_are_refused() {
-        assert_eq!(ConnectionLimits::for_process(47).unwrap_err(), FewDescriptors(47));
+        assert_eq!(
+            ConnectionLimits::for_process(47).unwrap_err(),
+            FewDescriptors(47)
+        );
         assert!(ConnectionLimits::for_process(48).is_ok());
     }
 

@@ -100,7 +100,10 @@ impl Listener {
         }
         let socket = TcpListener::bind(address).await;
         let socket = Arc::new(socket.map_err(|source| ServeError::Listen { address, source })?);
-        Ok(Self { socket, connections: Arc::clone(connections) })
+        Ok(Self {
+            socket,
+            connections: Arc::clone(connections),
+        })
     }
 
     /// Returns the address, with the port that the system has chosen.
@@ -112,7 +115,12 @@ impl Listener {
     }
 
     /// Serves connections until this is dropped, which closes all of them.
-    pub(super) async fn serve<S>(self, tls: Option<Arc<Tls>>, protocol: Protocol, service: S) -> Infallible
+    pub(super) async fn serve<S>(
+        self,
+        tls: Option<Arc<Tls>>,
+        protocol: Protocol,
+        service: S,
+    ) -> Infallible
     where
         S: Service<Request<Body>, Response = Response<Body>, Error = Infallible>,
         S: Clone + Send + Sync + 'static,
@@ -172,19 +180,32 @@ where
     stream.set_nodelay(true)?;
     let connection = Arc::clone(&entry.connection);
     let limits = *connections.limits();
-    let peer = |certificate| Peer { connection: Arc::clone(&connection), connections, certificate };
+    let peer = |certificate| Peer {
+        connection: Arc::clone(&connection),
+        connections,
+        certificate,
+    };
     match tls {
         None => {
             let stream = Watched::new(stream, Arc::clone(&connection), limits.unread);
             answered(stream, &limits, peer(None), protocol, service).await
         }
         Some(tls) => {
-            let name: &[u8] = if protocol == Protocol::Http2 { b"h2" } else { b"http/1.1" };
+            let name: &[u8] = if protocol == Protocol::Http2 {
+                b"h2"
+            } else {
+                b"http/1.1"
+            };
             let stream = tokio::time::timeout(limits.handshake, tls.acceptor(name).accept(stream));
-            let stream =
-                stream.await.map_err(|_| format!("no handshake within {:?}", limits.handshake))??;
+            let stream = stream
+                .await
+                .map_err(|_| format!("no handshake within {:?}", limits.handshake))??;
             connection.shaken();
-            let shown = stream.get_ref().1.peer_certificates().and_then(|all| all.first());
+            let shown = stream
+                .get_ref()
+                .1
+                .peer_certificates()
+                .and_then(|all| all.first());
             let certificate = shown.map(|certificate| Arc::new(certificate.clone().into_owned()));
             let stream = Watched::new(stream, Arc::clone(&connection), limits.unread);
             answered(stream, &limits, peer(certificate), protocol, service).await
@@ -246,12 +267,16 @@ where
     match protocol {
         Protocol::Http1 => {
             let mut http = http1::Builder::new();
-            http.timer(TokioTimer::new()).header_read_timeout(limits.idle).max_buf_size(MAX_HEAD);
+            http.timer(TokioTimer::new())
+                .header_read_timeout(limits.idle)
+                .max_buf_size(MAX_HEAD);
             to_its_end!(http.serve_connection(stream, service))
         }
         Protocol::Http2 => {
             let mut http = http2::Builder::new(TokioExecutor::new());
-            http.timer(TokioTimer::new()).keep_alive_interval(KEEPALIVE).max_concurrent_streams(MOST_STREAMS);
+            http.timer(TokioTimer::new())
+                .keep_alive_interval(KEEPALIVE)
+                .max_concurrent_streams(MOST_STREAMS);
             to_its_end!(http.serve_connection(stream, service))
         }
     }

@@ -73,7 +73,10 @@ pub(super) struct OpenRequest(Arc<Connection>);
 impl Connections {
     /// Creates a table without connections.
     pub fn new(limits: ConnectionLimits) -> Arc<Self> {
-        Arc::new(Self { limits, open: Mutex::default() })
+        Arc::new(Self {
+            limits,
+            open: Mutex::default(),
+        })
     }
 
     /// Returns the limits of the table.
@@ -83,27 +86,54 @@ impl Connections {
 
     /// Adds a connection. Where a cap is reached, the connection that has been idle longest is closed for it.
     pub(super) fn add(self: &Arc<Self>, from: IpAddr, is_handshaking: bool) -> Entry {
-        let ConnectionLimits { general, of_address, handshakes, handshakes_of_address, .. } = self.limits;
-        let state = State { is_handshaking, trust: Trust::Unknown, requests: 0, since: Instant::now() };
-        let connection = Arc::new(Connection { from, state: Mutex::new(state), evicted: Notify::new() });
+        let ConnectionLimits {
+            general,
+            of_address,
+            handshakes,
+            handshakes_of_address,
+            ..
+        } = self.limits;
+        let state = State {
+            is_handshaking,
+            trust: Trust::Unknown,
+            requests: 0,
+            since: Instant::now(),
+        };
+        let connection = Arc::new(Connection {
+            from,
+            state: Mutex::new(state),
+            evicted: Notify::new(),
+        });
         let mut table = self.table();
         if is_handshaking {
-            table.make_room(handshakes_of_address, |c, state| state.is_handshaking && c.from == from);
+            table.make_room(handshakes_of_address, |c, state| {
+                state.is_handshaking && c.from == from
+            });
             table.make_room(handshakes, |_, state| state.is_handshaking);
         }
-        table.make_room(of_address, |c, state| state.trust < Trust::Worker && c.from == from);
+        table.make_room(of_address, |c, state| {
+            state.trust < Trust::Worker && c.from == from
+        });
         table.make_room(general, |_, state| state.trust < Trust::Worker);
         let number = table.next;
         table.next += 1;
         table.all.insert(number, Arc::clone(&connection));
-        Entry { table: Arc::clone(self), number, connection }
+        Entry {
+            table: Arc::clone(self),
+            number,
+            connection,
+        }
     }
 
     /// Closes the connection that has been idle longest, because the process has no descriptor left.
     pub(super) fn evict_one(&self) {
         let mut table = self.table();
         let is_evictable = |_: &Connection, state: &State| state.trust < Trust::Worker;
-        let count = table.all.values().filter(|c| is_evictable(c, &c.state())).count();
+        let count = table
+            .all
+            .values()
+            .filter(|c| is_evictable(c, &c.state()))
+            .count();
         table.make_room(count, is_evictable);
     }
 
@@ -132,12 +162,18 @@ impl Table {
                     // Connections that work for an admitted caller come last.
                     let is_at_work = state.trust > Trust::Unknown && state.requests > 0;
                     let order = (is_at_work, state.since, *number);
-                    first = Some(first.map_or(order, |first: (bool, Instant, u64)| first.min(order)));
+                    first =
+                        Some(first.map_or(order, |first: (bool, Instant, u64)| first.min(order)));
                 }
             }
-            let Some((_, _, number)) = first.filter(|_| count >= cap) else { return };
+            let Some((_, _, number)) = first.filter(|_| count >= cap) else {
+                return;
+            };
             if let Some(evicted) = self.all.remove(&number) {
-                tracing::debug!("a connection with {} is closed: {count} are open", evicted.from);
+                tracing::debug!(
+                    "a connection with {} is closed: {count} are open",
+                    evicted.from
+                );
                 evicted.evicted.notify_one();
             }
         }
@@ -233,8 +269,12 @@ mod tests {
     const THERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::new(10, 0, 0, 1));
 
     fn table(general: usize, of_address: usize, workers: usize) -> Arc<Connections> {
-        let limits =
-            ConnectionLimits { general, of_address, workers, ..ConnectionLimits::for_descriptors(1024) };
+        let limits = ConnectionLimits {
+            general,
+            of_address,
+            workers,
+            ..ConnectionLimits::for_descriptors(1024)
+        };
         Connections::new(limits)
     }
 
@@ -295,7 +335,10 @@ mod tests {
         assert_eq!([&first, &worker, &second].map(is_open), [false, true, true]);
         table.evict_one();
         table.evict_one();
-        assert_eq!([&first, &worker, &second].map(is_open), [false, true, false]);
+        assert_eq!(
+            [&first, &worker, &second].map(is_open),
+            [false, true, false]
+        );
     }
 
     #[test]
@@ -304,7 +347,10 @@ mod tests {
         let elsewhere = table.add(THERE, false);
         let here: Vec<Entry> = (0..5).map(|_| table.add(HERE, false)).collect();
         assert!(is_open(&elsewhere));
-        assert_eq!(here.iter().map(is_open).collect::<Vec<_>>(), [false, false, false, true, true]);
+        assert_eq!(
+            here.iter().map(is_open).collect::<Vec<_>>(),
+            [false, false, false, true, true]
+        );
         drop((elsewhere, here));
         assert!(table.table().all.is_empty());
 
@@ -314,8 +360,13 @@ mod tests {
             ..ConnectionLimits::for_descriptors(1024)
         };
         let table = Connections::new(limits);
-        let shaking: Vec<Entry> = [HERE, HERE, HERE, THERE, THERE].map(|from| table.add(from, true)).into();
-        assert_eq!(shaking.iter().map(is_open).collect::<Vec<_>>(), [false, false, true, true, true]);
+        let shaking: Vec<Entry> = [HERE, HERE, HERE, THERE, THERE]
+            .map(|from| table.add(from, true))
+            .into();
+        assert_eq!(
+            shaking.iter().map(is_open).collect::<Vec<_>>(),
+            [false, false, true, true, true]
+        );
         // A finished handshake does not count.
         shaking[2].connection.shaken();
         let _next = [table.add(HERE, true), table.add(HERE, false)];

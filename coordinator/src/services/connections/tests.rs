@@ -28,7 +28,14 @@ const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// Limits that nothing in a test reaches.
 fn wide() -> ConnectionLimits {
     let limits = ConnectionLimits::for_descriptors(65_536);
-    ConnectionLimits { handshake: NEVER, idle: NEVER, grace: SHORT, silence: NEVER, unread: NEVER, ..limits }
+    ConnectionLimits {
+        handshake: NEVER,
+        idle: NEVER,
+        grace: SHORT,
+        silence: NEVER,
+        unread: NEVER,
+        ..limits
+    }
 }
 
 /// A server that ends with the test.
@@ -50,13 +57,20 @@ async fn serve(
     routes: Router,
 ) -> Served {
     let connections = Connections::new(limits);
-    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections).await.unwrap();
+    let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections)
+        .await
+        .unwrap();
     let address = listener.local_addr().unwrap();
-    Served { address, server: tokio::spawn(listener.serve(tls, protocol, routes)) }
+    Served {
+        address,
+        server: tokio::spawn(listener.serve(tls, protocol, routes)),
+    }
 }
 
 fn hello() -> Router {
-    Router::new().route("/", get(|| async { "hello" })).route("/", post(|body: Bytes| async { body }))
+    Router::new()
+        .route("/", get(|| async { "hello" }))
+        .route("/", post(|body: Bytes| async { body }))
 }
 
 async fn connect(served: &Served) -> TcpStream {
@@ -73,13 +87,19 @@ async fn end(mut stream: impl AsyncRead + Unpin) -> String {
 }
 
 async fn asked(mut stream: impl AsyncRead + AsyncWrite + Unpin) -> String {
-    stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await.unwrap();
+    stream
+        .write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+        .await
+        .unwrap();
     end(stream).await
 }
 
 #[tokio::test]
 async fn listener_closes_connections_without_request() {
-    let limits = ConnectionLimits { idle: SHORT, ..wide() };
+    let limits = ConnectionLimits {
+        idle: SHORT,
+        ..wide()
+    };
     for (protocol, begun) in [
         (Protocol::Http1, &b""[..]),
         (Protocol::Http1, b"GET / HT"),
@@ -96,13 +116,19 @@ async fn listener_closes_connections_without_request() {
     // The pause after an answered request is limited, too.
     let served = serve(limits, None, Protocol::Http1, hello()).await;
     let mut stream = connect(&served).await;
-    stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n").await.unwrap();
+    stream
+        .write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .await
+        .unwrap();
     assert!(end(stream).await.ends_with("hello"));
 }
 
 #[tokio::test]
 async fn bytes_without_request_do_not_prolong_a_connection() {
-    let limits = ConnectionLimits { idle: SHORT, ..wide() };
+    let limits = ConnectionLimits {
+        idle: SHORT,
+        ..wide()
+    };
     let served = serve(limits, None, Protocol::Http1, hello()).await;
     let (mut read, mut write) = connect(&served).await.into_split();
     let sender = tokio::spawn(async move {
@@ -118,9 +144,21 @@ async fn bytes_without_request_do_not_prolong_a_connection() {
 
 #[tokio::test]
 async fn body_that_stops_ends_its_request() {
-    let served = serve(ConnectionLimits { silence: SHORT, ..wide() }, None, Protocol::Http1, hello()).await;
+    let served = serve(
+        ConnectionLimits {
+            silence: SHORT,
+            ..wide()
+        },
+        None,
+        Protocol::Http1,
+        hello(),
+    )
+    .await;
     let mut stream = connect(&served).await;
-    stream.write_all(b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nhalf").await.unwrap();
+    stream
+        .write_all(b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\nhalf")
+        .await
+        .unwrap();
     assert!(end(stream).await.starts_with("HTTP/1.1 4"));
 }
 
@@ -150,15 +188,39 @@ async fn peer_that_reads_nothing_is_cut() {
     let dropped = Arc::new(std::sync::Mutex::new(Some(dropped)));
     let endless = move || async move { Body::from_stream(Endless(dropped.lock().unwrap().take())) };
     let routes = Router::new().route("/", get(endless));
-    let served = serve(ConnectionLimits { unread: SHORT, ..wide() }, None, Protocol::Http1, routes).await;
+    let served = serve(
+        ConnectionLimits {
+            unread: SHORT,
+            ..wide()
+        },
+        None,
+        Protocol::Http1,
+        routes,
+    )
+    .await;
     let mut stream = connect(&served).await;
-    stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n").await.unwrap();
-    tokio::time::timeout(LIMIT, ended).await.expect("the connection stays open").unwrap();
+    stream
+        .write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .await
+        .unwrap();
+    tokio::time::timeout(LIMIT, ended)
+        .await
+        .expect("the connection stays open")
+        .unwrap();
 }
 
 #[tokio::test]
 async fn full_listener_closes_oldest_connections_for_newcomers() {
-    for limits in [ConnectionLimits { general: 8, ..wide() }, ConnectionLimits { of_address: 8, ..wide() }] {
+    for limits in [
+        ConnectionLimits {
+            general: 8,
+            ..wide()
+        },
+        ConnectionLimits {
+            of_address: 8,
+            ..wide()
+        },
+    ] {
         let served = serve(limits, None, Protocol::Http1, hello()).await;
         let mut idle = Vec::new();
         for _ in 0..50 {
@@ -180,7 +242,12 @@ fn encrypted(folder: &Path) -> (Arc<Tls>, TlsConnector) {
     let [certificate, key] = ["server.pem", "server.key"].map(|name| folder.join(name));
     std::fs::write(&certificate, signed.cert.pem()).unwrap();
     std::fs::write(&key, signed.signing_key.serialize_pem()).unwrap();
-    let tls = Tls::open(TlsFiles { certificate, key, client_ca: None }).unwrap();
+    let tls = Tls::open(TlsFiles {
+        certificate,
+        key,
+        client_ca: None,
+    })
+    .unwrap();
     let mut roots = RootCertStore::empty();
     roots.add(signed.cert.der().to_vec().into()).unwrap();
     let client = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
@@ -201,24 +268,40 @@ async fn handshakes_end_in_time_and_leave_room() {
     let folder = tempfile::tempdir().unwrap();
     let (tls, client) = encrypted(folder.path());
     // A handshake that does not begin.
-    let limits = ConnectionLimits { handshake: SHORT, ..wide() };
+    let limits = ConnectionLimits {
+        handshake: SHORT,
+        ..wide()
+    };
     let served = serve(limits, Some(Arc::clone(&tls)), Protocol::Http1, hello()).await;
     assert_eq!(end(connect(&served).await).await, "");
     // A finished handshake without a request.
-    let limits = ConnectionLimits { idle: SHORT, ..wide() };
+    let limits = ConnectionLimits {
+        idle: SHORT,
+        ..wide()
+    };
     let served = serve(limits, Some(Arc::clone(&tls)), Protocol::Http1, hello()).await;
     assert_eq!(end(shaken(&client, &served).await).await, "");
     // More handshakes than there may be, from one address and in all.
     for limits in [
-        ConnectionLimits { handshakes: 4, ..wide() },
-        ConnectionLimits { handshakes_of_address: 4, ..wide() },
+        ConnectionLimits {
+            handshakes: 4,
+            ..wide()
+        },
+        ConnectionLimits {
+            handshakes_of_address: 4,
+            ..wide()
+        },
     ] {
         let served = serve(limits, Some(Arc::clone(&tls)), Protocol::Http1, hello()).await;
         let mut silent = Vec::new();
         for _ in 0..40 {
             silent.push(connect(&served).await);
         }
-        assert!(asked(shaken(&client, &served).await).await.ends_with("hello"));
+        assert!(
+            asked(shaken(&client, &served).await)
+                .await
+                .ends_with("hello")
+        );
         for stream in silent.drain(..30) {
             end(stream).await;
         }

@@ -23,18 +23,29 @@ pub(super) struct Watched<IO> {
 impl<IO> Watched<IO> {
     /// Watches a socket whose peer may leave bytes unread for the time `unread`.
     pub(super) fn new(socket: IO, connection: Arc<Connection>, unread: Duration) -> Self {
-        Self { socket, connection, unread, stalled: None }
+        Self {
+            socket,
+            connection,
+            unread,
+            stalled: None,
+        }
     }
 
     /// Notes the outcome of a write.
-    fn written<T>(&mut self, context: &mut Context<'_>, write: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+    fn written<T>(
+        &mut self,
+        context: &mut Context<'_>,
+        write: Poll<io::Result<T>>,
+    ) -> Poll<io::Result<T>> {
         if write.is_ready() {
             self.stalled = None;
             self.connection.moved();
             return write;
         }
         let unread = self.unread;
-        let stalled = self.stalled.get_or_insert_with(|| Box::pin(tokio::time::sleep(unread)));
+        let stalled = self
+            .stalled
+            .get_or_insert_with(|| Box::pin(tokio::time::sleep(unread)));
         match stalled.as_mut().poll(context) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,

@@ -37,7 +37,9 @@ pub(super) async fn call(
 ) -> Response {
     let caller = caller.map(|Extension(caller)| caller);
     if !is_json(&headers) {
-        return failure(&Status::invalid_argument("send the request with content-type: application/json"));
+        return failure(&Status::invalid_argument(
+            "send the request with content-type: application/json",
+        ));
     }
     let (method, body) = (method.as_str(), &body[..]);
     let answered = match service.as_str() {
@@ -85,8 +87,9 @@ async fn answer<Q: DeserializeOwned, A: Serialize>(
     call: impl AsyncFnOnce(Request<Q>) -> Result<tonic::Response<A>, Status>,
 ) -> Result<String, Status> {
     let body = if body.is_empty() { b"{}" } else { body };
-    let request: Q = serde_json::from_slice(body)
-        .map_err(|e| Status::invalid_argument(format!("the request is not its message as JSON: {e}")))?;
+    let request: Q = serde_json::from_slice(body).map_err(|e| {
+        Status::invalid_argument(format!("the request is not its message as JSON: {e}"))
+    })?;
     let mut request = Request::new(request);
     if let Some(caller) = caller {
         request.extensions_mut().insert(caller);

@@ -53,15 +53,24 @@ pub(super) async fn live(
         tokio::spawn(tell_workers(Arc::clone(&site), out.clone()));
     }
     if let Some(job) = wanted.job {
-        tokio::spawn(tell_job(site, caller.map(|Extension(caller)| caller), JobId(job), out));
+        tokio::spawn(tell_job(
+            site,
+            caller.map(|Extension(caller)| caller),
+            JobId(job),
+            out,
+        ));
     }
     let stream = tokio_stream::wrappers::ReceiverStream::new(stream);
-    Sse::new(stream).keep_alive(KeepAlive::default()).into_response()
+    Sse::new(stream)
+        .keep_alive(KeepAlive::default())
+        .into_response()
 }
 
 /// Sends one message; false when the watcher has gone.
 async fn say(out: &Out, name: &str, data: &str) -> bool {
-    out.send(Ok(Event::default().event(name).data(data))).await.is_ok()
+    out.send(Ok(Event::default().event(name).data(data)))
+        .await
+        .is_ok()
 }
 
 async fn tell_jobs(site: Arc<Site>, out: Out) {
@@ -127,13 +136,24 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
                 return;
             }
         };
-        let standings = move |c: &Arc<Coordinator>| tiles::standings(c, id).map_err(|e| status::of_store(&e));
-        let Ok(now) = blocking(c, standings).await else { return };
+        let standings =
+            move |c: &Arc<Coordinator>| tiles::standings(c, id).map_err(|e| status::of_store(&e));
+        let Ok(now) = blocking(c, standings).await else {
+            return;
+        };
         let tiles = changed_tiles(&before, &now);
         let (events, upto) = c.chronicle.after(Some(id), after, EVENTS);
         let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
-        let Ok(events) = serde_json::to_string(&events) else { return };
-        if !say(&out, "job", &format!(r#"{{"job":{job},"tiles":{tiles},"events":{events}}}"#)).await {
+        let Ok(events) = serde_json::to_string(&events) else {
+            return;
+        };
+        if !say(
+            &out,
+            "job",
+            &format!(r#"{{"job":{job},"tiles":{tiles},"events":{events}}}"#),
+        )
+        .await
+        {
             return;
         }
         before = now;
@@ -149,7 +169,12 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
 }
 
 /// Waits until something happens to a job.
-async fn of_job(c: &Coordinator, grown: &mut tokio::sync::watch::Receiver<u64>, id: JobId, mut after: u64) {
+async fn of_job(
+    c: &Coordinator,
+    grown: &mut tokio::sync::watch::Receiver<u64>,
+    id: JobId,
+    mut after: u64,
+) {
     loop {
         let (found, upto) = c.chronicle.after(Some(id), after, 1);
         if !found.is_empty() {
@@ -172,7 +197,12 @@ fn changed_tiles(before: &[Standing], now: &[Standing]) -> String {
         return format!("\"{digits}\"");
     }
     let mut out = "[".to_owned();
-    for (tile, (_, state)) in before.iter().zip(now).enumerate().filter(|(_, (a, b))| a != b) {
+    for (tile, (_, state)) in before
+        .iter()
+        .zip(now)
+        .enumerate()
+        .filter(|(_, (a, b))| a != b)
+    {
         let comma = if out.len() > 1 { "," } else { "" };
         // Writing to a string cannot fail.
         let _ = write!(out, "{comma}{tile},{}", *state as u8);
@@ -194,7 +224,10 @@ pub(super) async fn events(
     Path(job): Path<u64>,
     Query(since): Query<Since>,
 ) -> Response {
-    let (events, next) = site.coordinator.chronicle.after(Some(JobId(job)), since.after, 10 * EVENTS);
+    let (events, next) =
+        site.coordinator
+            .chronicle
+            .after(Some(JobId(job)), since.after, 10 * EVENTS);
     let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
     match serde_json::to_string(&events) {
         Ok(events) => json(format!(r#"{{"events":{events},"next":{next}}}"#)),
@@ -210,7 +243,10 @@ mod tests {
     fn tiles_are_told_whole_and_then_by_change() {
         use Standing::{Done, Ready, Running};
         assert_eq!(changed_tiles(&[], &[Ready, Running, Done]), "\"245\"");
-        assert_eq!(changed_tiles(&[Ready, Ready, Ready], &[Ready, Running, Done]), "[1,4,2,5]");
+        assert_eq!(
+            changed_tiles(&[Ready, Ready, Ready], &[Ready, Running, Done]),
+            "[1,4,2,5]"
+        );
         assert_eq!(changed_tiles(&[Ready], &[Ready]), "[]");
     }
 }

@@ -35,7 +35,8 @@ pub(super) struct Sent {
 
 /// Returns the page that asks for a token.
 pub(super) async fn page() -> Response {
-    let made = Nonce::random().map(|nonce| html(&nonce, PAGE.replace("{{nonce}}", &nonce.attribute())));
+    let made =
+        Nonce::random().map(|nonce| html(&nonce, PAGE.replace("{{nonce}}", &nonce.attribute())));
     made.unwrap_or_else(|status| failure(&status))
 }
 
@@ -47,20 +48,33 @@ pub(super) async fn ask() -> Response {
 /// Checks the submitted token and sets the login cookie.
 pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<Sent>) -> Response {
     // Where callers need no token there is no session either.
-    let Some(access) = site.coordinator.access.get().filter(|access| access.has_tokens()) else {
+    let Some(access) = site
+        .coordinator
+        .access
+        .get()
+        .filter(|access| access.has_tokens())
+    else {
         return (StatusCode::SEE_OTHER, [(header::LOCATION, "/")]).into_response();
     };
     let token = sent.token.trim();
     if let Err(status) = guard::admitted_with(access, Some(token), None, "/") {
         return failure(&status);
     }
-    match site.logins.begin(TokenDigest::of_text(token), site.coordinator.now().at) {
+    match site
+        .logins
+        .begin(TokenDigest::of_text(token), site.coordinator.now().at)
+    {
         Ok(id) => {
             let cookie = cookie(site.port, site.is_encrypted, &id, LIFE.as_secs());
-            let headers = [(header::SET_COOKIE, cookie), (header::LOCATION, "/".to_owned())];
+            let headers = [
+                (header::SET_COOKIE, cookie),
+                (header::LOCATION, "/".to_owned()),
+            ];
             (StatusCode::SEE_OTHER, headers).into_response()
         }
-        Err(e) => failure(&Status::internal(format!("no session without random numbers: {e}"))),
+        Err(e) => failure(&Status::internal(format!(
+            "no session without random numbers: {e}"
+        ))),
     }
 }
 
@@ -70,7 +84,10 @@ pub(super) async fn logout(State(site): State<Arc<Site>>, headers: HeaderMap) ->
         site.logins.end(id);
     }
     let cookie = cookie(site.port, site.is_encrypted, "", 0);
-    let headers = [(header::SET_COOKIE, cookie), (header::LOCATION, "/login".to_owned())];
+    let headers = [
+        (header::SET_COOKIE, cookie),
+        (header::LOCATION, "/login".to_owned()),
+    ];
     (StatusCode::SEE_OTHER, headers).into_response()
 }
 
@@ -81,21 +98,32 @@ pub(super) fn admitted(
     headers: &HeaderMap,
     path: &str,
 ) -> Result<Caller, Status> {
-    let Some(id) = session(site, headers).filter(|_| !headers.contains_key(header::AUTHORIZATION)) else {
+    let Some(id) = session(site, headers).filter(|_| !headers.contains_key(header::AUTHORIZATION))
+    else {
         return guard::admitted(access, headers, None, path);
     };
     let ended = || Status::unauthenticated("the session has ended; log in again at /login");
-    let token = site.logins.token(id, site.coordinator.now().at).ok_or_else(ended)?;
+    let token = site
+        .logins
+        .token(id, site.coordinator.now().at)
+        .ok_or_else(ended)?;
     guard::admitted_by(access, path, |access| {
-        access.identify_digest(&token).inspect_err(|_| site.logins.end(id))
+        access
+            .identify_digest(&token)
+            .inspect_err(|_| site.logins.end(id))
     })
 }
 
 /// Returns the id of the session in the cookie of this port.
 fn session<'a>(site: &Site, headers: &'a HeaderMap) -> Option<&'a str> {
     let name = name(site.port);
-    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
-    let mut own = cookies.flat_map(|text| text.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    let cookies = headers
+        .get_all(header::COOKIE)
+        .iter()
+        .filter_map(|value| value.to_str().ok());
+    let mut own = cookies
+        .flat_map(|text| text.split(';'))
+        .filter_map(|pair| pair.trim().split_once('='));
     own.find(|(found, _)| *found == name).map(|(_, id)| id)
 }
 
@@ -108,7 +136,10 @@ fn name(port: u16) -> String {
 /// Returns the cookie with a session's id for the given number of seconds.
 fn cookie(port: u16, is_encrypted: bool, id: &str, seconds: u64) -> String {
     let secure = if is_encrypted { "; Secure" } else { "" };
-    format!("{}={id}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}", name(port))
+    format!(
+        "{}={id}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}",
+        name(port)
+    )
 }
 
 #[cfg(test)]
@@ -118,9 +149,18 @@ mod tests {
     #[test]
     fn cookie_is_hidden_from_programs_other_sites_and_other_ports() {
         let parts = |is_encrypted| -> Vec<String> {
-            cookie(7601, is_encrypted, "id", LIFE.as_secs()).split("; ").map(str::to_owned).collect()
+            cookie(7601, is_encrypted, "id", LIFE.as_secs())
+                .split("; ")
+                .map(str::to_owned)
+                .collect()
         };
-        let plain = ["sightline-session-7601=id", "Path=/", "HttpOnly", "SameSite=Strict", "Max-Age=43200"];
+        let plain = [
+            "sightline-session-7601=id",
+            "Path=/",
+            "HttpOnly",
+            "SameSite=Strict",
+            "Max-Age=43200",
+        ];
         assert_eq!(parts(false), plain);
         assert_eq!(parts(true), [&plain[..], &["Secure"]].concat());
         assert!(cookie(7601, true, "", 0).contains("Max-Age=0"));

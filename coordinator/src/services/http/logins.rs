@@ -31,7 +31,11 @@ impl Logins {
     ///
     /// # Errors
     /// The system's, when there are no random numbers.
-    pub(super) fn begin(&self, token: TokenDigest, now: Instant) -> Result<String, getrandom::Error> {
+    pub(super) fn begin(
+        &self,
+        token: TokenDigest,
+        now: Instant,
+    ) -> Result<String, getrandom::Error> {
         let mut random = [0; 32];
         getrandom::fill(&mut random)?;
         let id = blake3::Hash::from_bytes(random).to_hex().to_string();
@@ -42,13 +46,22 @@ impl Logins {
         {
             all.remove(&oldest);
         }
-        all.insert(key(&id), Session { token, end: now + LIFE });
+        all.insert(
+            key(&id),
+            Session {
+                token,
+                end: now + LIFE,
+            },
+        );
         Ok(id)
     }
 
     /// Returns the token of a session that has not ended.
     pub(super) fn token(&self, id: &str, now: Instant) -> Option<TokenDigest> {
-        self.all().get(&key(id)).filter(|session| session.end > now).map(|session| session.token.clone())
+        self.all()
+            .get(&key(id))
+            .filter(|session| session.end > now)
+            .map(|session| session.token.clone())
     }
 
     /// Ends a session.
@@ -84,7 +97,10 @@ mod tests {
         assert_eq!(logins.token(&first, now + LIFE), None);
         assert_eq!(logins.token("", now), None);
         logins.end(&first);
-        assert_eq!((logins.token(&first, now), logins.token(&second, now)), (None, Some(token(2))));
+        assert_eq!(
+            (logins.token(&first, now), logins.token(&second, now)),
+            (None, Some(token(2)))
+        );
         // A session that has ended stays in no table.
         logins.begin(token(3), now + LIFE).unwrap();
         assert_eq!(logins.all().len(), 1);
@@ -95,7 +111,9 @@ mod tests {
         let (logins, now) = (Logins::default(), Instant::now());
         let first = logins.begin(token(0), now).unwrap();
         for n in 0..MAX_SESSIONS {
-            logins.begin(token(n), now + Duration::from_secs(1)).unwrap();
+            logins
+                .begin(token(n), now + Duration::from_secs(1))
+                .unwrap();
         }
         assert_eq!(logins.token(&first, now), None);
         assert_eq!(logins.all().len(), MAX_SESSIONS);

@@ -73,7 +73,9 @@ pub async fn serve_http(
         .route(
             "/login",
             // The one path that reads a body of a caller who is not known yet.
-            get(login::page).post(login::login).layer(DefaultBodyLimit::max(login::MAX_FORM)),
+            get(login::page)
+                .post(login::login)
+                .layer(DefaultBodyLimit::max(login::MAX_FORM)),
         )
         .route("/logout", post(login::logout))
         .route("/live", get(live::live))
@@ -82,7 +84,11 @@ pub async fn serve_http(
         .route("/scenes", post(pages::put_scene))
         .route("/view/{job}", get(pages::view))
         .route("/{service}/{method}", post(calls::call))
-        .fallback(|| async { failure(&Status::not_found("there is no such page; / is the dashboard")) })
+        .fallback(|| async {
+            failure(&Status::not_found(
+                "there is no such page; / is the dashboard",
+            ))
+        })
         .layer(DefaultBodyLimit::max(MAX_MESSAGE as usize))
         .layer(from_fn_with_state(Arc::clone(&site), guard))
         .with_state(site);
@@ -94,7 +100,10 @@ pub async fn serve_http(
 async fn guard(site: State<Arc<Site>>, request: Request, next: Next) -> Response {
     let mut answer = guarded(site, request, next).await;
     // Browsers must not guess another type from the bytes.
-    answer.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    answer.headers_mut().insert(
+        header::X_CONTENT_TYPE_OPTIONS,
+        HeaderValue::from_static("nosniff"),
+    );
     answer
 }
 
@@ -124,7 +133,8 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
             }
             // The file of a scene goes to the disk, whatever its length.
             let announced = request.headers().get(header::CONTENT_LENGTH);
-            let announced: Option<u64> = announced.and_then(|length| length.to_str().ok()?.parse().ok());
+            let announced: Option<u64> =
+                announced.and_then(|length| length.to_str().ok()?.parse().ok());
             let is_empty = request.body().is_end_stream() || path == "/scenes";
             let bytes = match announced {
                 _ if is_empty => 0,
@@ -143,9 +153,9 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
                     }
                     answer_right::until_end(next.run(request).await, (permit, room))
                 }
-                Err(_) => {
-                    failure(&Status::unavailable("the coordinator is stopping; try again when it is back"))
-                }
+                Err(_) => failure(&Status::unavailable(
+                    "the coordinator is stopping; try again when it is back",
+                )),
             }
         }
         Err(status) => failure(&status),
@@ -154,18 +164,30 @@ async fn guarded(State(site): State<Arc<Site>>, mut request: Request, next: Next
 
 /// Why a request is refused, by its headers.
 fn refusal(site: &Site, headers: &HeaderMap) -> Option<Status> {
-    let text = |name| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let text = |name| {
+        headers
+            .get(name)
+            .and_then(|value| value.to_str().ok())
+            .unwrap_or_default()
+    };
     let host = text(header::HOST);
     // An encrypted page is under a name of its certificate, and whoever calls needs a token besides.
-    let is_known =
-        site.is_encrypted && site.coordinator.access.get().is_some_and(|access| access.has_tokens());
+    let is_known = site.is_encrypted
+        && site
+            .coordinator
+            .access
+            .get()
+            .is_some_and(|access| access.has_tokens());
     if !is_known && !is_own(host, site.is_local) {
         return Some(Status::permission_denied(
             "ask for an address, for localhost, or for the machine's name without a domain",
         ));
     }
     let origin = text(header::ORIGIN);
-    let is_foreign = !origin.is_empty() && origin.split_once("://").is_none_or(|(_, from)| from != host);
+    let is_foreign = !origin.is_empty()
+        && origin
+            .split_once("://")
+            .is_none_or(|(_, from)| from != host);
     is_foreign.then(|| Status::permission_denied("pages of other sites may not call here"))
 }
 
@@ -176,7 +198,10 @@ fn is_own(host: &str, is_local: bool) -> bool {
         Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
         _ => host,
     };
-    let name = name.trim_start_matches('[').trim_end_matches(']').to_ascii_lowercase();
+    let name = name
+        .trim_start_matches('[')
+        .trim_end_matches(']')
+        .to_ascii_lowercase();
     match name.parse::<IpAddr>() {
         Ok(address) => !is_local || address.is_loopback(),
         Err(_) => name == "localhost" || !is_local && !name.is_empty() && !name.contains('.'),
@@ -189,14 +214,30 @@ mod tests {
 
     #[test]
     fn names_of_other_sites_are_not_ours() {
-        for own in ["127.0.0.1:7601", "localhost:7601", "LOCALHOST", "[::1]:7601", "[::1]", "127.0.0.1"] {
+        for own in [
+            "127.0.0.1:7601",
+            "localhost:7601",
+            "LOCALHOST",
+            "[::1]:7601",
+            "[::1]",
+            "127.0.0.1",
+        ] {
             assert!(is_own(own, true) && is_own(own, false), "{own}");
         }
         for beyond in ["192.168.1.7:7601", "farm:7601", "[fe80::1]:7601"] {
             assert!(!is_own(beyond, true) && is_own(beyond, false), "{beyond}");
         }
-        for foreign in ["evil.example:7601", "evil.example", "127.0.0.1.evil.example", "", ":7601"] {
-            assert!(!is_own(foreign, true) && !is_own(foreign, false), "{foreign}");
+        for foreign in [
+            "evil.example:7601",
+            "evil.example",
+            "127.0.0.1.evil.example",
+            "",
+            ":7601",
+        ] {
+            assert!(
+                !is_own(foreign, true) && !is_own(foreign, false),
+                "{foreign}"
+            );
         }
     }
 }

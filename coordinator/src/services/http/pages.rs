@@ -66,8 +66,13 @@ pub(super) fn html(Nonce(nonce): &Nonce, text: String) -> Response {
 
 /// Returns the dashboard. Where callers need tokens it has a button that ends the session.
 pub(super) async fn dashboard(State(site): State<Arc<Site>>) -> Response {
-    let has_sessions = site.coordinator.access.get().is_some_and(|access| access.has_tokens());
-    let made = Nonce::random().map(|nonce| html(&nonce, dashboard_page(&nonce.attribute(), has_sessions)));
+    let has_sessions = site
+        .coordinator
+        .access
+        .get()
+        .is_some_and(|access| access.has_tokens());
+    let made =
+        Nonce::random().map(|nonce| html(&nonce, dashboard_page(&nonce.attribute(), has_sessions)));
     made.unwrap_or_else(|status| failure(&status))
 }
 
@@ -77,7 +82,10 @@ pub(super) async fn result(
     Path(file): Path<String>,
     caller: Option<Extension<Caller>>,
 ) -> Response {
-    let Some(job) = file.strip_suffix(".pvs").and_then(|number| number.parse().ok()) else {
+    let Some(job) = file
+        .strip_suffix(".pvs")
+        .and_then(|number| number.parse().ok())
+    else {
         return failure(&Status::not_found("results are at /results/JOB.pvs"));
     };
     let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
@@ -105,7 +113,10 @@ pub(super) async fn put_scene(
     body: Body,
 ) -> Response {
     // A form of another site can send other types without asking.
-    if headers.get(header::CONTENT_TYPE).is_none_or(|kind| kind != "application/octet-stream") {
+    if headers
+        .get(header::CONTENT_TYPE)
+        .is_none_or(|kind| kind != "application/octet-stream")
+    {
         return failure(&Status::invalid_argument(
             "send the file with content-type: application/octet-stream",
         ));
@@ -114,9 +125,13 @@ pub(super) async fn put_scene(
     let c = &site.coordinator;
     let taken = async {
         let name = file_name(name)?;
-        let length = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+        let length = headers
+            .get(header::CONTENT_LENGTH)
+            .and_then(|value| value.to_str().ok()?.parse().ok());
         let length = length.ok_or_else(|| {
-            Status::invalid_argument("the length of the file is not known; send it with a content-length")
+            Status::invalid_argument(
+                "the length of the file is not known; send it with a content-length",
+            )
         })?;
         let spool = spooled(c, begin_file(c, &caller, length).await?, body).await?;
         take_file(c, caller, name, Vec::new(), spool).await
@@ -157,8 +172,9 @@ pub(super) async fn view(
     };
     let attribute = nonce.attribute();
     let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
-    let made =
-        move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| page_of(c, JobId(job), attribute, is_gone);
+    let made = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
+        page_of(c, JobId(job), attribute, is_gone)
+    };
     match in_turn(c, &c.questions, caller.owner(), made).await {
         Ok(text) => html(&nonce, text),
         Err(s) => {
@@ -172,7 +188,12 @@ pub(super) async fn view(
     }
 }
 
-fn page_of(c: &Coordinator, id: JobId, nonce: String, is_gone: &dyn Fn() -> bool) -> Result<String, Status> {
+fn page_of(
+    c: &Coordinator,
+    id: JobId,
+    nonce: String,
+    is_gone: &dyn Fn() -> bool,
+) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
     let (record, scene) = asking::scene(c, id).map_err(|e| status::of_ask(&e))?;
     asking::has_sets(&record).map_err(|e| status::of_ask(&e))?;

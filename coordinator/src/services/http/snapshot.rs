@@ -36,8 +36,10 @@ pub(super) struct Snapshots {
 impl Snapshots {
     /// Begins to make them.
     pub(super) fn of(c: &Arc<Coordinator>) -> Arc<Self> {
-        let this =
-            Self { jobs: watch::Sender::new(Moment::default()), workers: watch::Sender::new("".into()) };
+        let this = Self {
+            jobs: watch::Sender::new(Moment::default()),
+            workers: watch::Sender::new("".into()),
+        };
         let this = Arc::new(this);
         tokio::spawn(keep_jobs(Arc::clone(c), Arc::clone(&this)));
         tokio::spawn(keep_workers(Arc::clone(c), Arc::clone(&this)));
@@ -61,18 +63,26 @@ async fn keep_jobs(c: Arc<Coordinator>, this: Arc<Snapshots>) {
         match blocking(&c, move |c| list(c, known)).await {
             Ok((jobs, older, now_ended)) => {
                 ended = now_ended;
-                let changed = jobs.iter().filter(|(id, text)| before.get(id) != Some(text));
+                let changed = jobs
+                    .iter()
+                    .filter(|(id, text)| before.get(id) != Some(text));
                 let changed: Vec<&str> = changed.map(|(_, text)| &**text).collect();
                 let change = event(&c, false, older, &changed, &gone(&before, &jobs));
                 let all: Vec<&str> = jobs.values().map(|text| &**text).collect();
                 let whole = event(&c, true, older, &all, &[]);
                 before = jobs;
                 this.jobs.send_modify(|moment| {
-                    *moment =
-                        Moment { number: moment.number + 1, whole: whole.into(), change: change.into() };
+                    *moment = Moment {
+                        number: moment.number + 1,
+                        whole: whole.into(),
+                        change: change.into(),
+                    };
                 });
             }
-            Err(s) => tracing::warn!("the dashboard's list of jobs cannot be made: {}", s.message()),
+            Err(s) => tracing::warn!(
+                "the dashboard's list of jobs cannot be made: {}",
+                s.message()
+            ),
         }
         tokio::time::sleep(EVERY[0]).await;
         if changes.changed().await.is_err() {
@@ -88,7 +98,11 @@ async fn keep_workers(c: Arc<Coordinator>, this: Arc<Snapshots>) {
         let roster = c.lock().machine.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
         // The page shows the trouble of those that are connected.
-        let answer = v1::ListWorkersResponse { workers, now_ms: now.unix_ms, quarantined: Vec::new() };
+        let answer = v1::ListWorkersResponse {
+            workers,
+            now_ms: now.unix_ms,
+            quarantined: Vec::new(),
+        };
         if let Ok(text) = serde_json::to_string(&answer) {
             this.workers.send_replace(text.into());
         }
@@ -119,8 +133,15 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
                     is_over = summary.ended();
                     end = summary.record.finished_at_ms;
                     // The clock would make every job new.
-                    let job = v1::Job { spec: None, now_ms: 0, workers: 0, ..wire::job(&summary) };
-                    serde_json::to_string(&job).map_err(|e| status::internal(&e.to_string()))?.into()
+                    let job = v1::Job {
+                        spec: None,
+                        now_ms: 0,
+                        workers: 0,
+                        ..wire::job(&summary)
+                    };
+                    serde_json::to_string(&job)
+                        .map_err(|e| status::internal(&e.to_string()))?
+                        .into()
                 }
                 // It was deleted in between.
                 Err(crate::store::StoreError::UnknownJob { .. }) => continue,
@@ -137,7 +158,11 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
 
 /// The jobs that are not listed any more.
 fn gone(before: &Listed, now: &Listed) -> Vec<u64> {
-    before.keys().filter(|id| !now.contains_key(id)).copied().collect()
+    before
+        .keys()
+        .filter(|id| !now.contains_key(id))
+        .copied()
+        .collect()
 }
 
 /// What a watcher is sent.

@@ -23,7 +23,9 @@ enum Op {
 
 /// Blob `n`: its length is `n * 37`, so that 0 is the empty blob.
 fn content(n: u8) -> Vec<u8> {
-    (0..usize::from(n) * 37).map(|i| (i as u8).wrapping_mul(n)).collect()
+    (0..usize::from(n) * 37)
+        .map(|i| (i as u8).wrapping_mul(n))
+        .collect()
 }
 
 fn digest(n: u8) -> Digest {
@@ -59,7 +61,10 @@ fn step(blobs: &dyn Blobs, model: &mut BTreeMap<u8, Vec<u8>>, op: &Op) {
             }
         }
         Op::Abandon(n) => blobs.put_stream().unwrap().append(&content(n)).unwrap(),
-        Op::Remove(n) => assert_eq!(blobs.remove(&digest(n)).unwrap(), model.remove(&n).is_some()),
+        Op::Remove(n) => assert_eq!(
+            blobs.remove(&digest(n)).unwrap(),
+            model.remove(&n).is_some()
+        ),
     }
 }
 
@@ -67,8 +72,15 @@ fn compare(blobs: &dyn Blobs, model: &BTreeMap<u8, Vec<u8>>) {
     for n in 0..4 {
         let expected = model.get(&n);
         assert_eq!(blobs.has(&digest(n)).unwrap(), expected.is_some());
-        assert_eq!(blobs.len(&digest(n)).unwrap(), expected.map(|bytes| bytes.len() as u64));
-        match (blobs.read(&digest(n)), blobs.open_checked(&digest(n)), expected) {
+        assert_eq!(
+            blobs.len(&digest(n)).unwrap(),
+            expected.map(|bytes| bytes.len() as u64)
+        );
+        match (
+            blobs.read(&digest(n)),
+            blobs.open_checked(&digest(n)),
+            expected,
+        ) {
             (Ok(read), Ok(mut opened), Some(expected)) => {
                 assert_eq!(&read, expected);
                 let mut read = Vec::new();
@@ -146,6 +158,8 @@ fn a_blob_error_is_found_behind_an_io_error() {
     for blobs in stores {
         let full = |e| matches!(blobs.io_error(e), BlobError::NoSpace { .. });
         assert!(full(ErrorKind::StorageFull.into()) && !full(ErrorKind::PermissionDenied.into()));
-        assert!(full(std::io::Error::other(BlobError::NoSpace { path: "x".into() })));
+        assert!(full(std::io::Error::other(BlobError::NoSpace {
+            path: "x".into()
+        })));
     }
 }

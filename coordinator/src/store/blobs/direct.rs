@@ -43,7 +43,12 @@ impl Staged {
     /// The name of its object, which is no blob's.
     pub(super) fn name(&self) -> String {
         let Lease { job, tile, id } = self.lease;
-        format!("{job}-{tile}-{}-{}-{}", id.epoch.0, id.number, hex(&self.sha256))
+        format!(
+            "{job}-{tile}-{}-{}-{}",
+            id.epoch.0,
+            id.number,
+            hex(&self.sha256)
+        )
     }
 }
 

@@ -127,7 +127,9 @@ pub enum BlobError {
 /// Parses the record of the blobs' owner at `path`.
 pub(super) fn parse_owner(bytes: &[u8], path: &Path) -> Result<StoreId, BlobError> {
     let text = std::str::from_utf8(bytes).unwrap_or_default();
-    text.trim_end().parse().map_err(|()| BlobError::Owner { path: path.to_owned() })
+    text.trim_end().parse().map_err(|()| BlobError::Owner {
+        path: path.to_owned(),
+    })
 }
 
 impl BlobError {
@@ -145,7 +147,10 @@ impl BlobError {
     pub fn passes(&self) -> bool {
         matches!(
             self,
-            Self::NoSpace { .. } | Self::Unreachable { .. } | Self::Refused { .. } | Self::NoBucket { .. }
+            Self::NoSpace { .. }
+                | Self::Unreachable { .. }
+                | Self::Refused { .. }
+                | Self::NoBucket { .. }
         )
     }
 }
@@ -154,12 +159,19 @@ impl BlobError {
 pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> BlobError {
     let path = path.to_owned();
     move |source| match source.kind() {
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => BlobError::NoSpace { path: path.clone() },
-        ErrorKind::NotFound if doing == "read" => BlobError::Missing { path: path.clone() },
-        _ if doing == "read" && is_of_the_disk(&source) => {
-            BlobError::Unreadable { path: path.clone(), source: Arc::new(source) }
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
+            BlobError::NoSpace { path: path.clone() }
         }
-        _ => BlobError::Io { doing, path: path.clone(), source: Arc::new(source) },
+        ErrorKind::NotFound if doing == "read" => BlobError::Missing { path: path.clone() },
+        _ if doing == "read" && is_of_the_disk(&source) => BlobError::Unreadable {
+            path: path.clone(),
+            source: Arc::new(source),
+        },
+        _ => BlobError::Io {
+            doing,
+            path: path.clone(),
+            source: Arc::new(source),
+        },
     }
 }
 
@@ -167,14 +179,18 @@ pub(super) fn fault(doing: &'static str, path: &Path) -> impl Fn(io::Error) -> B
 /// or the permissions, and say nothing about the file.
 fn is_of_the_disk(e: &io::Error) -> bool {
     let of_the_disk = [Errno::IO, Errno::UCLEAN, Errno::BADMSG].map(Errno::raw_os_error);
-    e.raw_os_error().is_some_and(|number| of_the_disk.contains(&number))
+    e.raw_os_error()
+        .is_some_and(|number| of_the_disk.contains(&number))
 }
 
 /// Checks the digest of what was written against the one announced.
 ///
 /// # Errors
 /// [`BlobError::Mismatch`].
-pub(super) fn check_announced(found: blake3::Hash, expected: Option<&Digest>) -> Result<Digest, BlobError> {
+pub(super) fn check_announced(
+    found: blake3::Hash,
+    expected: Option<&Digest>,
+) -> Result<Digest, BlobError> {
     match expected.map(|expected| blake3::Hash::from_bytes(*expected)) {
         Some(expected) if expected != found => Err(BlobError::Mismatch {
             expected: expected.to_hex().to_string(),

@@ -53,7 +53,10 @@ impl FileBlobs {
     /// [`BlobError::Io`] when the directory does not exist or cannot be listed.
     pub fn inspect(directory: &Path) -> Result<Self, BlobError> {
         let blobs = Self::at(Arc::new(SystemDisk), directory, "tmp");
-        blobs.disk.list(directory).map_err(fault("list", directory))?;
+        blobs
+            .disk
+            .list(directory)
+            .map_err(fault("list", directory))?;
         Ok(blobs)
     }
 
@@ -66,7 +69,8 @@ impl FileBlobs {
         let blobs = Self::at(disk, directory, unfinished);
         let (disk, unfinished) = (&*blobs.disk, &**blobs.unfinished);
         disk::create_folder(disk, directory).map_err(fault("create", directory))?;
-        disk.create_folder(unfinished).map_err(fault("create", unfinished))?;
+        disk.create_folder(unfinished)
+            .map_err(fault("create", unfinished))?;
         for path in disk.list(unfinished).map_err(fault("list", unfinished))? {
             disk.remove(&path).map_err(fault("remove", &path))?;
         }
@@ -76,7 +80,12 @@ impl FileBlobs {
 
     fn at(disk: Arc<dyn Disk>, directory: &Path, unfinished: &str) -> Self {
         let unfinished = Arc::new(directory.join(unfinished));
-        Self { disk, root: Arc::new(directory.to_owned()), unfinished, written: Arc::default() }
+        Self {
+            disk,
+            root: Arc::new(directory.to_owned()),
+            unfinished,
+            written: Arc::default(),
+        }
     }
 
     /// The path of a blob, whether it is present or not. Do not write there.
@@ -88,7 +97,8 @@ impl FileBlobs {
     /// A fresh path for a file that is not finished.
     fn unfinished(&self) -> PathBuf {
         let number = self.written.fetch_add(1, Ordering::Relaxed);
-        self.unfinished.join(format!("{}-{number}", std::process::id()))
+        self.unfinished
+            .join(format!("{}-{number}", std::process::id()))
     }
 
     fn put_whole(&self, bytes: &[u8], synced: bool) -> Result<Digest, BlobError> {
@@ -101,7 +111,9 @@ impl FileBlobs {
                 // Who puts a blob is going to name it, so it must not look like one that nobody has named
                 // for long.
                 let path = self.path(&digest);
-                self.disk.date(&path, SystemTime::now()).map_err(fault("date", &path))?;
+                self.disk
+                    .date(&path, SystemTime::now())
+                    .map_err(fault("date", &path))?;
                 return Ok(digest);
             }
             Err(BlobError::Missing { .. }) => {}
@@ -116,7 +128,10 @@ impl FileBlobs {
     /// Syncs a blob that is present but may not be durable yet ([`Blobs::put_unsynced`]).
     fn sync(&self, digest: &Digest) -> Result<(), BlobError> {
         let place = self.path(digest);
-        self.disk.open(&place, Access::Read).and_then(|file| file.sync()).map_err(fault("sync", &place))?;
+        self.disk
+            .open(&place, Access::Read)
+            .and_then(|file| file.sync())
+            .map_err(fault("sync", &place))?;
         self.sync_directories(&place)
     }
 
@@ -125,7 +140,9 @@ impl FileBlobs {
         // Both levels lie under the root by construction of `path`.
         let inner = place.parent().unwrap_or(&self.root);
         let outer = inner.parent().unwrap_or(&self.root);
-        [inner, outer, &self.root].into_iter().try_for_each(|folder| self.sync_folder(folder))
+        [inner, outer, &self.root]
+            .into_iter()
+            .try_for_each(|folder| self.sync_folder(folder))
     }
 
     fn sync_folder(&self, folder: &Path) -> Result<(), BlobError> {
@@ -135,15 +152,27 @@ impl FileBlobs {
     /// A file for a blob that arrives.
     pub(super) fn writer(&self) -> Result<FileWriter, BlobError> {
         let path = self.unfinished();
-        let file = self.disk.open(&path, Access::Create).map_err(fault("create", &path))?;
-        Ok(FileWriter { blobs: self.clone(), path, file, hasher: blake3::Hasher::new(), length: 0 })
+        let file = self
+            .disk
+            .open(&path, Access::Create)
+            .map_err(fault("create", &path))?;
+        Ok(FileWriter {
+            blobs: self.clone(),
+            path,
+            file,
+            hasher: blake3::Hasher::new(),
+            length: 0,
+        })
     }
 }
 
 impl Blobs for FileBlobs {
     fn len(&self, digest: &Digest) -> Result<Option<u64>, BlobError> {
         let path = self.path(digest);
-        let found = self.disk.attributes(&path).map_err(fault("look at", &path))?;
+        let found = self
+            .disk
+            .attributes(&path)
+            .map_err(fault("look at", &path))?;
         Ok(found.map(|found| found.length))
     }
 
@@ -154,20 +183,32 @@ impl Blobs for FileBlobs {
             .open(&path, Access::Read)
             .and_then(|mut file| file.read_to_end(&mut bytes))
             .map_err(fault("read", &path))?;
-        if blake3::hash(&bytes).as_bytes() == digest { Ok(bytes) } else { Err(BlobError::Damaged { path }) }
+        if blake3::hash(&bytes).as_bytes() == digest {
+            Ok(bytes)
+        } else {
+            Err(BlobError::Damaged { path })
+        }
     }
 
     fn open_checked(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
         let path = self.path(digest);
-        let mut file = self.disk.open(&path, Access::Read).map_err(fault("read", &path))?;
+        let mut file = self
+            .disk
+            .open(&path, Access::Read)
+            .map_err(fault("read", &path))?;
         let mut hasher = blake3::Hasher::new();
-        hasher.update_reader(&mut file).map_err(fault("read", &path))?;
+        hasher
+            .update_reader(&mut file)
+            .map_err(fault("read", &path))?;
         if hasher.finalize().as_bytes() != digest {
             return Err(BlobError::Damaged { path });
         }
         let length = file.stream_position().map_err(fault("read", &path))?;
         file.rewind().map_err(fault("read", &path))?;
-        Ok(BlobReader { bytes: file, length })
+        Ok(BlobReader {
+            bytes: file,
+            length,
+        })
     }
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
@@ -188,12 +229,25 @@ impl Blobs for FileBlobs {
         for outer in list(&self.root)?.iter().filter(|path| short(path)) {
             for inner in list(outer)?.iter().filter(|path| short(path)) {
                 for path in list(inner)? {
-                    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+                    let name = path
+                        .file_name()
+                        .and_then(|name| name.to_str())
+                        .unwrap_or_default();
                     // Files that are no blobs are nobody's business.
-                    let Ok(digest) = blake3::Hash::from_hex(name) else { continue };
-                    let Some(bytes) = self.len(digest.as_bytes())? else { continue };
-                    let Some(written) = self.written(digest.as_bytes())? else { continue };
-                    if !visit(Stored { digest: *digest.as_bytes(), bytes, written }) {
+                    let Ok(digest) = blake3::Hash::from_hex(name) else {
+                        continue;
+                    };
+                    let Some(bytes) = self.len(digest.as_bytes())? else {
+                        continue;
+                    };
+                    let Some(written) = self.written(digest.as_bytes())? else {
+                        continue;
+                    };
+                    if !visit(Stored {
+                        digest: *digest.as_bytes(),
+                        bytes,
+                        written,
+                    }) {
                         return Ok(());
                     }
                 }
@@ -204,7 +258,10 @@ impl Blobs for FileBlobs {
 
     fn written(&self, digest: &Digest) -> Result<Option<SystemTime>, BlobError> {
         let path = self.path(digest);
-        let found = self.disk.attributes(&path).map_err(fault("look at", &path))?;
+        let found = self
+            .disk
+            .attributes(&path)
+            .map_err(fault("look at", &path))?;
         Ok(found.map(|found| found.modified))
     }
 
@@ -227,7 +284,10 @@ impl Blobs for FileBlobs {
     }
 
     fn claim(&self, store: StoreId) -> Result<(), BlobError> {
-        let (path, beside) = (self.root.join(OWNER), self.root.join(format!("{OWNER}.new")));
+        let (path, beside) = (
+            self.root.join(OWNER),
+            self.root.join(format!("{OWNER}.new")),
+        );
         let text = format!("{store}\n");
         disk::replace(&*self.disk, &path, &beside, text.as_bytes()).map_err(fault("write", &path))
     }
@@ -245,7 +305,8 @@ impl Blobs for FileBlobs {
     }
 
     fn io_error(&self, e: io::Error) -> BlobError {
-        e.downcast::<BlobError>().unwrap_or_else(fault("write below", &self.unfinished))
+        e.downcast::<BlobError>()
+            .unwrap_or_else(fault("write below", &self.unfinished))
     }
 }
 
@@ -279,7 +340,8 @@ impl FileWriter {
         let inner = place.parent().unwrap_or(&self.blobs.root);
         let disk = &self.blobs.disk;
         disk.create_folder(inner).map_err(fault("create", inner))?;
-        disk.rename(&self.path, &place).map_err(fault("move into place", &place))?;
+        disk.rename(&self.path, &place)
+            .map_err(fault("move into place", &place))?;
         if sync {
             self.blobs.sync_directories(&place)?;
         }
@@ -289,7 +351,9 @@ impl FileWriter {
 
 impl BlobWriter for FileWriter {
     fn append(&mut self, bytes: &[u8]) -> Result<(), BlobError> {
-        self.file.write_all(bytes).map_err(fault("write", &self.path))?;
+        self.file
+            .write_all(bytes)
+            .map_err(fault("write", &self.path))?;
         self.hasher.update(bytes);
         self.length = self.length.saturating_add(bytes.len() as u64);
         Ok(())
@@ -347,12 +411,18 @@ mod tests {
         assert_eq!(blobs.read(&digest).unwrap(), b"walls");
         assert_eq!(blobs.len(&digest).unwrap(), Some(5));
         std::fs::write(blobs.path(&digest), b"halls").unwrap();
-        assert!(matches!(blobs.read(&digest), Err(BlobError::Damaged { .. })));
+        assert!(matches!(
+            blobs.read(&digest),
+            Err(BlobError::Damaged { .. })
+        ));
         blobs.put(b"walls").unwrap();
         assert_eq!(blobs.read(&digest).unwrap(), b"walls");
         assert!(blobs.remove(&digest).unwrap());
         assert!(!blobs.remove(&digest).unwrap() && !blobs.has(&digest).unwrap());
-        assert!(matches!(blobs.read(&digest), Err(BlobError::Missing { .. })));
+        assert!(matches!(
+            blobs.read(&digest),
+            Err(BlobError::Missing { .. })
+        ));
         assert_eq!(files(&directory.path().join("tmp")), 0);
     }
 
@@ -367,8 +437,14 @@ mod tests {
             std::os::unix::fs::symlink("/proc/self/mem", blobs.path(&digest)).unwrap();
         };
         break_it();
-        assert!(matches!(blobs.read(&digest), Err(BlobError::Unreadable { .. })));
-        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Unreadable { .. })));
+        assert!(matches!(
+            blobs.read(&digest),
+            Err(BlobError::Unreadable { .. })
+        ));
+        assert!(matches!(
+            blobs.open_checked(&digest),
+            Err(BlobError::Unreadable { .. })
+        ));
         blobs.put(b"walls").unwrap();
         assert_eq!(blobs.read(&digest).unwrap(), b"walls");
         break_it();
@@ -386,7 +462,10 @@ mod tests {
         let digest = *blake3::hash(b"floor and roof").as_bytes();
         let mut wrong = blobs.put_stream().unwrap();
         wrong.append(b"floor").unwrap();
-        assert!(matches!(wrong.finish(Some(&digest)), Err(BlobError::Mismatch { .. })));
+        assert!(matches!(
+            wrong.finish(Some(&digest)),
+            Err(BlobError::Mismatch { .. })
+        ));
         assert!(!blobs.has(&digest).unwrap());
         assert_eq!(files(&unfinished), 0);
         let mut right = blobs.put_stream().unwrap();
@@ -408,9 +487,15 @@ mod tests {
         opened.bytes.read_to_end(&mut read).unwrap();
         assert_eq!((read.as_slice(), opened.length), (b"walls".as_slice(), 5));
         std::fs::write(blobs.path(&digest), b"halls").unwrap();
-        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Damaged { .. })));
+        assert!(matches!(
+            blobs.open_checked(&digest),
+            Err(BlobError::Damaged { .. })
+        ));
         blobs.remove(&digest).unwrap();
-        assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Missing { .. })));
+        assert!(matches!(
+            blobs.open_checked(&digest),
+            Err(BlobError::Missing { .. })
+        ));
         let mut scratch = blobs.scratch().unwrap().unwrap();
         scratch.write_all(b"doors").unwrap();
         scratch.rewind().unwrap();
@@ -441,7 +526,10 @@ mod tests {
     fn unfinished_files_are_removed_at_the_next_start() {
         let directory = tempfile::tempdir().unwrap();
         let unfinished = directory.path().join("tmp");
-        let kept = FileBlobs::open(directory.path()).unwrap().put(b"kept").unwrap();
+        let kept = FileBlobs::open(directory.path())
+            .unwrap()
+            .put(b"kept")
+            .unwrap();
         std::fs::write(unfinished.join("1-0"), b"half").unwrap();
         let blobs = FileBlobs::open(directory.path()).unwrap();
         assert_eq!(files(&unfinished), 0);

@@ -52,13 +52,19 @@ impl Blobs for MemoryBlobs {
     fn open_checked(&self, digest: &Digest) -> Result<BlobReader, BlobError> {
         let bytes = self.get(digest)?;
         let length = bytes.len() as u64;
-        Ok(BlobReader { bytes: Box::new(Cursor::new(bytes)), length })
+        Ok(BlobReader {
+            bytes: Box::new(Cursor::new(bytes)),
+            length,
+        })
     }
 
     fn put(&self, bytes: &[u8]) -> Result<Digest, BlobError> {
         let digest = *blake3::hash(bytes).as_bytes();
         let now = SystemTime::now();
-        self.map().entry(digest).or_insert_with(|| (bytes.into(), now)).1 = now;
+        self.map()
+            .entry(digest)
+            .or_insert_with(|| (bytes.into(), now))
+            .1 = now;
         Ok(digest)
     }
 
@@ -82,7 +88,10 @@ impl Blobs for MemoryBlobs {
     }
 
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {
-        Ok(Box::new(MemoryWriter { blobs: self.clone(), bytes: Vec::new() }))
+        Ok(Box::new(MemoryWriter {
+            blobs: self.clone(),
+            bytes: Vec::new(),
+        }))
     }
 
     fn remove(&self, digest: &Digest) -> Result<bool, BlobError> {
@@ -103,7 +112,8 @@ impl Blobs for MemoryBlobs {
     }
 
     fn io_error(&self, e: io::Error) -> BlobError {
-        e.downcast::<BlobError>().unwrap_or_else(fault("write", Path::new("memory")))
+        e.downcast::<BlobError>()
+            .unwrap_or_else(fault("write", Path::new("memory")))
     }
 }
 

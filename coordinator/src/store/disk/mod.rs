@@ -20,7 +20,12 @@ pub(crate) use unreadable::{ZeroUnreadable, is_unreadable};
 /// Writes a file in one step that no crash divides: the path then names the old content or the new one.
 ///
 /// `beside` is a path in the same folder that nothing else uses.
-pub(crate) fn replace(disk: &dyn Disk, path: &Path, beside: &Path, content: &[u8]) -> io::Result<()> {
+pub(crate) fn replace(
+    disk: &dyn Disk,
+    path: &Path,
+    beside: &Path,
+    content: &[u8],
+) -> io::Result<()> {
     remove_if_present(disk, beside)?;
     let mut file = disk.open(beside, Access::Create)?;
     file.write_all(content)?;
@@ -35,7 +40,11 @@ pub(crate) fn create_folder(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     let mut unsynced = Vec::new();
     for folder in path.ancestors().skip(1) {
         // The last ancestor of a relative path is empty and means the current folder.
-        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+        let folder = if folder.as_os_str().is_empty() {
+            Path::new(".")
+        } else {
+            folder
+        };
         unsynced.push(folder);
         // The name of an existing folder is not this function's concern.
         if disk.list(folder).is_ok() {
@@ -43,7 +52,9 @@ pub(crate) fn create_folder(disk: &dyn Disk, path: &Path) -> io::Result<()> {
         }
     }
     disk.create_folder(path)?;
-    unsynced.into_iter().try_for_each(|folder| disk.sync_folder(folder))
+    unsynced
+        .into_iter()
+        .try_for_each(|folder| disk.sync_folder(folder))
 }
 
 /// Removes a file that a crash may have left.
@@ -57,6 +68,8 @@ pub(crate) fn remove_if_present(disk: &dyn Disk, path: &Path) -> io::Result<()> 
 /// Reads a whole file of at most `limit` bytes; bytes beyond are left unread.
 pub(crate) fn read_up_to(disk: &dyn Disk, path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    disk.open(path, Access::Read)?.take(limit).read_to_end(&mut bytes)?;
+    disk.open(path, Access::Read)?
+        .take(limit)
+        .read_to_end(&mut bytes)?;
     Ok(bytes)
 }

@@ -208,7 +208,11 @@ impl State {
         if error.is_none() && self.counts.misdirected == 0 && self.one_in(rate) {
             // The page cache is right; the disk writes the bytes elsewhere.
             self.counts.misdirected += 1;
-            let victim = if self.one_in(2) { file } else { self.below(self.files.len()) };
+            let victim = if self.one_in(2) {
+                file
+            } else {
+                self.below(self.files.len())
+            };
             let length = self.files[victim].durable.len();
             let elsewhere = self.below(length.max(1)) / SECTOR * SECTOR;
             let end = (elsewhere + bytes.len()).min(length);
@@ -277,10 +281,16 @@ impl State {
             }
         }
         // A name in a folder that is lost is lost.
-        let folders: Vec<PathBuf> =
-            self.durable.iter().filter(|(_, node)| **node == Node::Folder).map(|(p, _)| p.clone()).collect();
+        let folders: Vec<PathBuf> = self
+            .durable
+            .iter()
+            .filter(|(_, node)| **node == Node::Folder)
+            .map(|(p, _)| p.clone())
+            .collect();
         self.durable.retain(|path, _| {
-            path.ancestors().skip(1).all(|a| a.parent().is_none() || folders.iter().any(|f| f == a))
+            path.ancestors()
+                .skip(1)
+                .all(|a| a.parent().is_none() || folders.iter().any(|f| f == a))
         });
         self.seen = self.durable.clone();
     }
@@ -369,7 +379,8 @@ impl SimulatedDisk {
         let mut state = self.state();
         let files: Vec<usize> = (0..state.files.len())
             .filter(|f| {
-                !state.files[*f].durable.is_empty() && state.seen.values().any(|n| *n == Node::File(*f))
+                !state.files[*f].durable.is_empty()
+                    && state.seen.values().any(|n| *n == Node::File(*f))
             })
             .collect();
         if files.is_empty() {
@@ -402,7 +413,9 @@ impl Read for SimulatedFile {
             state.counts.failed_reads += 1;
             return Err(io_error());
         }
-        let Content { seen, unreadable, .. } = &state.files[self.number];
+        let Content {
+            seen, unreadable, ..
+        } = &state.files[self.number];
         let at = self.at as usize;
         let rest = seen.get(at..).unwrap_or_default();
         let mut length = rest.len().min(to.len());
@@ -426,7 +439,10 @@ impl Write for SimulatedFile {
         if !self.writes {
             return Err(ErrorKind::PermissionDenied.into());
         }
-        let written = self.disk.state().write(self.number, self.at as usize, bytes)?;
+        let written = self
+            .disk
+            .state()
+            .write(self.number, self.at as usize, bytes)?;
         self.at += written as u64;
         Ok(written)
     }
@@ -468,7 +484,10 @@ impl Disk for SimulatedDisk {
         let number = match (state.file(path), access) {
             (Ok(_), Access::Create) => return Err(ErrorKind::AlreadyExists.into()),
             (Err(e), Access::Create) if e.kind() == ErrorKind::NotFound => {
-                if path.parent().is_some_and(|p| state.seen.get(p) != Some(&Node::Folder)) {
+                if path
+                    .parent()
+                    .is_some_and(|p| state.seen.get(p) != Some(&Node::Folder))
+                {
                     return Err(ErrorKind::NotFound.into());
                 }
                 if state.room == Some(0) {
@@ -483,7 +502,12 @@ impl Disk for SimulatedDisk {
             (found, _) => found?,
         };
         drop(state);
-        Ok(Box::new(SimulatedFile { disk: self.clone(), number, at: 0, writes: access != Access::Read }))
+        Ok(Box::new(SimulatedFile {
+            disk: self.clone(),
+            number,
+            at: 0,
+            writes: access != Access::Read,
+        }))
     }
 
     fn attributes(&self, path: &Path) -> io::Result<Option<Attributes>> {
@@ -493,7 +517,10 @@ impl Disk for SimulatedDisk {
             Ok(number) => {
                 let content = &state.files[number];
                 let modified = SystemTime::UNIX_EPOCH + Duration::from_secs(content.modified);
-                Ok(Some(Attributes { length: content.seen.len() as u64, modified }))
+                Ok(Some(Attributes {
+                    length: content.seen.len() as u64,
+                    modified,
+                }))
             }
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
             Err(e) => Err(e),
@@ -504,7 +531,11 @@ impl Disk for SimulatedDisk {
         let mut state = self.state();
         state.on()?;
         let folders: Vec<PathBuf> = path.ancestors().map(Path::to_owned).collect();
-        for folder in folders.into_iter().rev().filter(|folder| folder.parent().is_some()) {
+        for folder in folders
+            .into_iter()
+            .rev()
+            .filter(|folder| folder.parent().is_some())
+        {
             if !state.seen.contains_key(&folder) {
                 state.change_name(NameChange::Set(folder, Node::Folder));
             }
@@ -518,7 +549,12 @@ impl Disk for SimulatedDisk {
         if state.seen.get(folder) != Some(&Node::Folder) {
             return Err(ErrorKind::NotFound.into());
         }
-        Ok(state.seen.keys().filter(|path| path.parent() == Some(folder)).cloned().collect())
+        Ok(state
+            .seen
+            .keys()
+            .filter(|path| path.parent() == Some(folder))
+            .cloned()
+            .collect())
     }
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
@@ -551,7 +587,9 @@ impl Disk for SimulatedDisk {
         let mut state = self.state();
         state.on()?;
         let number = state.file(path)?;
-        let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let since = time
+            .duration_since(SystemTime::UNIX_EPOCH)
+            .unwrap_or_default();
         state.files[number].modified = since.as_secs();
         Ok(())
     }
@@ -561,8 +599,9 @@ impl Disk for SimulatedDisk {
         state.on()?;
         let rate = state.faults.sync;
         let fails = state.one_in(rate);
-        let (synced, rest): (Vec<_>, Vec<_>) =
-            std::mem::take(&mut state.unsynced).into_iter().partition(|change| change.is_in(folder));
+        let (synced, rest): (Vec<_>, Vec<_>) = std::mem::take(&mut state.unsynced)
+            .into_iter()
+            .partition(|change| change.is_in(folder));
         state.unsynced = rest;
         for change in synced {
             if fails && state.one_in(2) {

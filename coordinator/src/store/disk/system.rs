@@ -26,13 +26,19 @@ impl DiskFile for File {
 impl Disk for SystemDisk {
     fn open(&self, path: &Path, access: Access) -> io::Result<Box<dyn DiskFile>> {
         let mut options = OpenOptions::new();
-        options.read(true).write(access != Access::Read).create_new(access == Access::Create);
+        options
+            .read(true)
+            .write(access != Access::Read)
+            .create_new(access == Access::Create);
         Ok(Box::new(options.open(path)?))
     }
 
     fn attributes(&self, path: &Path) -> io::Result<Option<Attributes>> {
         match std::fs::metadata(path) {
-            Ok(found) => Ok(Some(Attributes { length: found.len(), modified: found.modified()? })),
+            Ok(found) => Ok(Some(Attributes {
+                length: found.len(),
+                modified: found.modified()?,
+            })),
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
             Err(e) => Err(e),
         }

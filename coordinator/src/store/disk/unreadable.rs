@@ -80,7 +80,10 @@ impl Disk for ZeroUnreadable<'_> {
         if access != Access::Read {
             return Ok(file);
         }
-        let length = self.0.attributes(path)?.map_or(0, |attributes| attributes.length);
+        let length = self
+            .0
+            .attributes(path)?
+            .map_or(0, |attributes| attributes.length);
         Ok(Box::new(ZeroedFile { file, length }))
     }
 

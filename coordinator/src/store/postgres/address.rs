@@ -40,20 +40,31 @@ impl DatabaseAddress {
     ///
     /// # Errors
     /// [`StoreError::Address`], without the text.
-    pub fn parse(text: &str, password: Option<&str>, ca: Option<&Path>) -> Result<Self, StoreError> {
+    pub fn parse(
+        text: &str,
+        password: Option<&str>,
+        ca: Option<&Path>,
+    ) -> Result<Self, StoreError> {
         let wrong = |what: String| StoreError::Address { what };
         // Every encrypted connection is one whose certificate is checked in full.
         let text = text.replace("sslmode=verify-full", "sslmode=require");
         let says_mode = text.contains("sslmode=");
         let mut config: Config = text.parse().map_err(|e: tokio_postgres::Error| {
-            let reason = std::error::Error::source(&e).map_or_else(String::new, |s| format!(": {s}"));
-            wrong(format!("the address of the database cannot be read{reason}"))
+            let reason =
+                std::error::Error::source(&e).map_or_else(String::new, |s| format!(": {s}"));
+            wrong(format!(
+                "the address of the database cannot be read{reason}"
+            ))
         })?;
         if config.get_hosts().is_empty() {
-            return Err(wrong("the address of the database names no host".to_owned()));
+            return Err(wrong(
+                "the address of the database names no host".to_owned(),
+            ));
         }
         if config.get_user().unwrap_or_default().is_empty() {
-            return Err(wrong("the address of the database names no user".to_owned()));
+            return Err(wrong(
+                "the address of the database names no user".to_owned(),
+            ));
         }
         if config.get_password().is_none()
             && let Some(password) = password
@@ -66,8 +77,8 @@ impl DatabaseAddress {
             (false, _) => SslMode::Require,
             (true, mode @ (SslMode::Disable | SslMode::Require)) => mode,
             (true, _) => {
-                let text =
-                    "it could fall back to plain text unnoticed: say sslmode=require or sslmode=disable";
+                let text = "it could fall back to plain text unnoticed: say sslmode=require or \
+                            sslmode=disable";
                 return Err(wrong(text.to_owned()));
             }
         };
@@ -125,13 +136,19 @@ fn shown(config: &Config) -> String {
     };
     let hosts: Vec<String> = config.get_hosts().iter().enumerate().map(one).collect();
     let user = config.get_user().unwrap_or_default();
-    format!("the database postgres://{user}@{}/{}", hosts.join(","), config.get_dbname().unwrap_or(user))
+    format!(
+        "the database postgres://{user}@{}/{}",
+        hosts.join(","),
+        config.get_dbname().unwrap_or(user)
+    )
 }
 
 /// Whether traffic with a host stays on this machine.
 fn is_here(host: &Host) -> bool {
     match host {
-        Host::Tcp(name) => name == "localhost" || name.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback()),
+        Host::Tcp(name) => {
+            name == "localhost" || name.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+        }
         #[cfg(unix)]
         Host::Unix(_) => true,
     }
@@ -143,10 +160,15 @@ fn trusting(ca: Option<&Path>) -> Result<ClientConfig, StoreError> {
     let mut roots = RootCertStore::empty();
     match ca {
         Some(path) => {
-            let unusable = |reason: String| wrong(format!("{}: {reason}", PathBuf::from(path).display()));
-            for certificate in CertificateDer::pem_file_iter(path).map_err(|e| unusable(e.to_string()))? {
+            let unusable =
+                |reason: String| wrong(format!("{}: {reason}", PathBuf::from(path).display()));
+            for certificate in
+                CertificateDer::pem_file_iter(path).map_err(|e| unusable(e.to_string()))?
+            {
                 let certificate = certificate.map_err(|e| unusable(e.to_string()))?;
-                roots.add(certificate).map_err(|e| unusable(e.to_string()))?;
+                roots
+                    .add(certificate)
+                    .map_err(|e| unusable(e.to_string()))?;
             }
             if roots.is_empty() {
                 return Err(unusable("it holds no certificate".to_owned()));
@@ -176,7 +198,8 @@ mod tests {
 
     #[test]
     fn a_password_is_never_shown() {
-        let address = DatabaseAddress::parse("postgres://u:secret@127.0.0.1:5433/d", None, None).unwrap();
+        let address =
+            DatabaseAddress::parse("postgres://u:secret@127.0.0.1:5433/d", None, None).unwrap();
         for text in [address.to_string(), format!("{address:?}")] {
             assert_eq!(text, "the database postgres://u@127.0.0.1:5433/d");
         }
@@ -189,8 +212,13 @@ mod tests {
             "nonsense secret",
         ];
         for wrong in wrongs {
-            let error = DatabaseAddress::parse(wrong, None, None).unwrap_err().to_string();
-            assert!(!error.contains("secret") && error.contains("postgres://USER@HOST"), "{wrong}: {error}");
+            let error = DatabaseAddress::parse(wrong, None, None)
+                .unwrap_err()
+                .to_string();
+            assert!(
+                !error.contains("secret") && error.contains("postgres://USER@HOST"),
+                "{wrong}: {error}"
+            );
         }
     }
 
@@ -201,7 +229,10 @@ mod tests {
         std::fs::write(file.path(), certified.cert.pem()).unwrap();
         let encrypted = |text: &str| {
             let address = DatabaseAddress::parse(text, None, Some(file.path())).unwrap();
-            assert_eq!(address.tls().is_some(), address.config().get_ssl_mode() == SslMode::Require);
+            assert_eq!(
+                address.tls().is_some(),
+                address.config().get_ssl_mode() == SslMode::Require
+            );
             address.tls().is_some()
         };
         assert!(encrypted("postgres://u@db/d"));
@@ -211,7 +242,8 @@ mod tests {
         assert!(!encrypted("postgres://u@%2Frun%2Fpostgresql/d"));
         assert!(!encrypted("postgres://u@db/d?sslmode=disable"));
         std::fs::write(file.path(), "no certificate").unwrap();
-        let error = DatabaseAddress::parse("postgres://u@db/d", None, Some(file.path())).unwrap_err();
+        let error =
+            DatabaseAddress::parse("postgres://u@db/d", None, Some(file.path())).unwrap_err();
         assert!(error.to_string().contains("no certificate"), "{error}");
     }
 }

@@ -36,7 +36,9 @@ fn proxy(port: u16, fates: Arc<Mutex<VecDeque<Fate>>>) -> u16 {
     std::thread::spawn(move || {
         for client in listener.incoming() {
             let client = client.unwrap();
-            let Ok(server) = TcpStream::connect(("127.0.0.1", port)) else { continue };
+            let Ok(server) = TcpStream::connect(("127.0.0.1", port)) else {
+                continue;
+            };
             let (mut from, mut to) = (server.try_clone().unwrap(), client.try_clone().unwrap());
             std::thread::spawn(move || {
                 // Ends when either side does.
@@ -80,11 +82,24 @@ fn pass_on(mut client: TcpStream, mut server: TcpStream, fates: &Mutex<VecDeque<
 
 #[test]
 fn a_commit_whose_connection_is_lost_is_looked_up_and_neither_lost_nor_done_twice() {
-    let Some(server) = Postgres::start() else { return };
+    let Some(server) = Postgres::start() else {
+        return;
+    };
     let direct = server.url_on_loopback();
-    let port = direct.rsplit_once(':').unwrap().1.split_once('/').unwrap().0.parse().unwrap();
+    let port = direct
+        .rsplit_once(':')
+        .unwrap()
+        .1
+        .split_once('/')
+        .unwrap()
+        .0
+        .parse()
+        .unwrap();
     let fates = Arc::new(Mutex::new(VecDeque::new()));
-    let through = direct.replace(&format!(":{port}/"), &format!(":{}/", proxy(port, Arc::clone(&fates))));
+    let through = direct.replace(
+        &format!(":{port}/"),
+        &format!(":{}/", proxy(port, Arc::clone(&fates))),
+    );
     let address = DatabaseAddress::parse(&through, Some(server.password()), None).unwrap();
     let replica = Replica::join(&address, "one", "http://one:7600").unwrap();
     let epoch = leads(&replica);
@@ -98,14 +113,32 @@ fn a_commit_whose_connection_is_lost_is_looked_up_and_neither_lost_nor_done_twic
     ];
     for (tile, order) in (0..).zip(orders.into_iter().cycle().take(16)) {
         fates.lock().unwrap().extend(order.iter().copied());
-        let committed = store.commit_tile(JobId(1), TileIndex(tile), result(1)).unwrap();
+        let committed = store
+            .commit_tile(JobId(1), TileIndex(tile), result(1))
+            .unwrap();
         assert_eq!(committed, CommitOutcome::Committed, "{order:?}");
-        assert!(fates.lock().unwrap().is_empty(), "{order:?}: the connection was not lost");
+        assert!(
+            fates.lock().unwrap().is_empty(),
+            "{order:?}: the connection was not lost"
+        );
         // Carried out twice it would count twice.
         fates.lock().unwrap().extend(order.iter().copied());
-        assert_eq!(store.begin_epoch().unwrap(), u64::from(tile) + 1, "{order:?}");
-        assert!(fates.lock().unwrap().is_empty(), "{order:?}: the connection was not lost");
+        assert_eq!(
+            store.begin_epoch().unwrap(),
+            u64::from(tile) + 1,
+            "{order:?}"
+        );
+        assert!(
+            fates.lock().unwrap().is_empty(),
+            "{order:?}: the connection was not lost"
+        );
     }
     assert_eq!(store.epoch().unwrap(), 16);
-    assert!(store.tiles(JobId(1)).unwrap().iter().all(|tile| tile.conflicts == 0));
+    assert!(
+        store
+            .tiles(JobId(1))
+            .unwrap()
+            .iter()
+            .all(|tile| tile.conflicts == 0)
+    );
 }

@@ -37,8 +37,10 @@ const FENCE: &str = "WITH closing AS (UPDATE fence SET closed = true WHERE NOT c
     INSERT INTO fence VALUES ($1, 0, false)";
 /// What became of commits is asked for soon after them, so that old rows are of no use.
 const TIDY: &str = "DELETE FROM fence WHERE epoch < $1::bigint - 100";
-const RENEWAL: &str = "UPDATE leader SET until = clock_timestamp() + $2 * interval '1 s' WHERE epoch = $1";
-const RESIGN: &str = "UPDATE leader SET until = clock_timestamp() - interval '1 ms' WHERE epoch = $1";
+const RENEWAL: &str =
+    "UPDATE leader SET until = clock_timestamp() + $2 * interval '1 s' WHERE epoch = $1";
+const RESIGN: &str =
+    "UPDATE leader SET until = clock_timestamp() - interval '1 ms' WHERE epoch = $1";
 const WHO: &str = "SELECT epoch, holder, address FROM leader WHERE until > clock_timestamp()";
 
 /// A coordinator that would lead.
@@ -74,8 +76,13 @@ impl Candidate {
                 let connected = self.server.connect(Some(Arc::clone(&notified)));
                 let limit = until.map_or_else(|| Instant::now() + ANSWER, |(_, deadline)| deadline);
                 let connected = tokio::time::timeout_at(limit, connected).await;
-                let client = connected.unwrap_or_else(|_| Err(self.silent())).map_err(Stop::Lost)?;
-                client.batch_execute(LISTEN).await.map_err(|e| self.lost(&e))?;
+                let client = connected
+                    .unwrap_or_else(|_| Err(self.silent()))
+                    .map_err(Stop::Lost)?;
+                client
+                    .batch_execute(LISTEN)
+                    .await
+                    .map_err(|e| self.lost(&e))?;
                 wait = first;
                 self.follow(client, &notified, &mut until).await
             };
@@ -88,7 +95,9 @@ impl Candidate {
                 && Instant::now() + wait >= deadline
             {
                 let what = why.to_string();
-                return self.standing.set(Role::Ended(StoreError::NotRenewed { epoch, what }));
+                return self
+                    .standing
+                    .set(Role::Ended(StoreError::NotRenewed { epoch, what }));
             }
             tokio::select! {
                 () = sleep(wait) => {}
@@ -142,21 +151,36 @@ impl Candidate {
     /// Takes over if nobody leads, and gives the epoch and its end; else notes who leads.
     async fn look(&self, client: &mut Client) -> Result<Option<(i64, Instant)>, Stop> {
         let begun = Instant::now();
-        if let Some(epoch) = in_time(self.take_over(client)).await.map_err(|e| self.failed(e))? {
+        if let Some(epoch) = in_time(self.take_over(client))
+            .await
+            .map_err(|e| self.failed(e))?
+        {
             return Ok(Some((epoch, begun + LIFE)));
         }
-        let row = in_time(client.query_opt(WHO, &[])).await.map_err(|e| self.failed(e))?;
+        let row = in_time(client.query_opt(WHO, &[]))
+            .await
+            .map_err(|e| self.failed(e))?;
         let leader = row.map(|row| -> Result<Leader, tokio_postgres::Error> {
-            Ok(Leader { epoch: row.try_get(0)?, holder: row.try_get(1)?, address: row.try_get(2)? })
+            Ok(Leader {
+                epoch: row.try_get(0)?,
+                holder: row.try_get(1)?,
+                address: row.try_get(2)?,
+            })
         });
-        self.standing.set(Role::StandsBy(leader.transpose().map_err(|e| self.lost(&e))?));
+        self.standing.set(Role::StandsBy(
+            leader.transpose().map_err(|e| self.lost(&e))?,
+        ));
         Ok(None)
     }
 
     async fn take_over(&self, client: &mut Client) -> Result<Option<i64>, tokio_postgres::Error> {
-        let change = client.build_transaction().isolation_level(IsolationLevel::ReadCommitted);
+        let change = client
+            .build_transaction()
+            .isolation_level(IsolationLevel::ReadCommitted);
         let change = change.start().await?;
-        let row = change.query_opt(TAKE, &[&self.holder, &self.address, &LIFE.as_secs_f64()]).await?;
+        let row = change
+            .query_opt(TAKE, &[&self.holder, &self.address, &LIFE.as_secs_f64()])
+            .await?;
         let Some(row) = row else {
             change.rollback().await?;
             return Ok(None);
@@ -203,7 +227,10 @@ impl Candidate {
     }
 
     fn silent(&self) -> StoreError {
-        StoreError::Unreachable { server: self.server.address.to_string(), what: "no answer".to_owned() }
+        StoreError::Unreachable {
+            server: self.server.address.to_string(),
+            what: "no answer".to_owned(),
+        }
     }
 }
 

@@ -44,13 +44,19 @@ pub(super) struct Link {
 
 impl Server {
     /// Connects. `notified` hears of every notification.
-    pub(super) async fn connect(&self, notified: Option<Arc<Notify>>) -> Result<Client, StoreError> {
+    pub(super) async fn connect(
+        &self,
+        notified: Option<Arc<Notify>>,
+    ) -> Result<Client, StoreError> {
         let config = self.address.config();
         let client = match self.address.tls() {
             None => self.drive::<NoTls>(config.connect(NoTls).await, notified)?,
             Some(tls) => self.drive::<MakeRustlsConnect>(config.connect(tls).await, notified)?,
         };
-        client.batch_execute(SETTINGS).await.map_err(|e| self.meaning(&e))?;
+        client
+            .batch_execute(SETTINGS)
+            .await
+            .map_err(|e| self.meaning(&e))?;
         Ok(client)
     }
 
@@ -123,7 +129,9 @@ impl Server {
                             notified.notify_one();
                         }
                     }
-                    Ok(AsyncMessage::Notice(notice)) => tracing::info!("the database says: {notice}"),
+                    Ok(AsyncMessage::Notice(notice)) => {
+                        tracing::info!("the database says: {notice}")
+                    }
                     Ok(_) => {}
                     // Whoever uses the client hears of it, too.
                     Err(e) => {
@@ -186,5 +194,6 @@ pub(super) fn is_conflict(e: &tokio_postgres::Error) -> bool {
 /// Whether the server has said that it refuses, so that a transaction has certainly ended without effect. A
 /// server that stops while it commits may have committed.
 pub(super) fn is_refused(e: &tokio_postgres::Error) -> bool {
-    e.code().is_some_and(|code| !matches!(class(code), "08" | "57"))
+    e.code()
+        .is_some_and(|code| !matches!(class(code), "08" | "57"))
 }

@@ -67,14 +67,24 @@ impl Replica {
     ///
     /// # Errors
     /// The database does not answer, does not let us in, or holds the tables of a newer program.
-    pub fn join(database: &DatabaseAddress, holder: &str, address: &str) -> Result<Self, StoreError> {
+    pub fn join(
+        database: &DatabaseAddress,
+        holder: &str,
+        address: &str,
+    ) -> Result<Self, StoreError> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .thread_name("store-postgres")
             .enable_all()
             .build()
-            .map_err(|e| StoreError::Unreachable { server: database.to_string(), what: e.to_string() })?;
-        let server = Server { address: database.clone(), runtime: runtime.handle().clone() };
+            .map_err(|e| StoreError::Unreachable {
+                server: database.to_string(),
+                what: e.to_string(),
+            })?;
+        let server = Server {
+            address: database.clone(),
+            runtime: runtime.handle().clone(),
+        };
         let (tables, handle) = (server.clone(), runtime.handle().clone());
         let runtime = Arc::new(Connections(Some(runtime)));
         block_on(handle.spawn(async move { tables::migrate(&tables).await }))
@@ -88,7 +98,13 @@ impl Replica {
             resigns: Arc::clone(&resigns),
         };
         let candidacy = Mutex::new(Some(handle.spawn(candidate.run())));
-        Ok(Self { server, standing, resigns, candidacy, runtime })
+        Ok(Self {
+            server,
+            standing,
+            resigns,
+            candidacy,
+            runtime,
+        })
     }
 
     /// What becomes of it.
@@ -135,7 +151,11 @@ impl Replica {
     /// committed are committed or refused. Waits a second at most.
     pub async fn resign(&self) {
         self.resigns.notify_one();
-        let candidacy = self.candidacy.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let candidacy = self
+            .candidacy
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
         if let Some(candidacy) = candidacy {
             // One that does not answer in time is over when its time is.
             drop(tokio::time::timeout(Duration::from_secs(1), candidacy).await);
@@ -160,8 +180,15 @@ pub struct PostgresStore {
 impl Drop for PostgresStore {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Relaxed);
-        self.commands.get_mut().unwrap_or_else(PoisonError::into_inner).take();
-        if self.writer.take().is_some_and(|writer| writer.join().is_err()) {
+        self.commands
+            .get_mut()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take();
+        if self
+            .writer
+            .take()
+            .is_some_and(|writer| writer.join().is_err())
+        {
             tracing::error!("the store's writer thread had panicked; nothing acknowledged is lost");
         }
     }
@@ -172,7 +199,10 @@ impl Engine for PostgresStore {
         drop(self.reports.set(to));
     }
 
-    fn query<A>(&self, ask: impl FnOnce(View<'_>) -> Result<A, StoreError>) -> Result<A, StoreError> {
+    fn query<A>(
+        &self,
+        ask: impl FnOnce(View<'_>) -> Result<A, StoreError>,
+    ) -> Result<A, StoreError> {
         self.readers.query(ask)
     }
 
@@ -181,8 +211,15 @@ impl Engine for PostgresStore {
         decide: impl FnOnce(View<'_>) -> Result<Decision<A>, StoreError> + Send + 'static,
     ) -> Result<A, StoreError> {
         let (command, answer) = pending(decide);
-        let commands = self.commands.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        commands.ok_or(StoreError::Closed)?.send(command).map_err(|_| StoreError::Closed)?;
+        let commands = self
+            .commands
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone();
+        commands
+            .ok_or(StoreError::Closed)?
+            .send(command)
+            .map_err(|_| StoreError::Closed)?;
         let answer = answer.recv().map_err(|_| StoreError::Closed)?;
         answer.map_err(|e| in_database(&self.server, e))
     }

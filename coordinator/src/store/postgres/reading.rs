@@ -21,8 +21,11 @@ pub(super) struct Reading<'a>(pub(super) &'a Server, pub(super) &'a Link);
 impl Table for Reading<'_> {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, StoreError> {
         let Self(server, link) = self;
-        let row = block_on(link.client.query_opt(&link.get, &[&key])).map_err(|e| server.meaning(&e))?;
-        row.map(|row| row.try_get(0)).transpose().map_err(|e| server.meaning(&e))
+        let row =
+            block_on(link.client.query_opt(&link.get, &[&key])).map_err(|e| server.meaning(&e))?;
+        row.map(|row| row.try_get(0))
+            .transpose()
+            .map_err(|e| server.meaning(&e))
     }
 
     fn scan(&self, prefix: &[u8]) -> Result<Vec<(Bytes, Bytes)>, StoreError> {
@@ -32,8 +35,11 @@ impl Table for Reading<'_> {
             Some(end) => block_on(link.client.query(&link.between, &[&prefix, &end])),
         };
         let entry = |row: Row| Ok((row.try_get(0)?, row.try_get(1)?));
-        let entries: Result<Vec<_>, _> =
-            rows.map_err(|e| server.meaning(&e))?.into_iter().map(entry).collect();
+        let entries: Result<Vec<_>, _> = rows
+            .map_err(|e| server.meaning(&e))?
+            .into_iter()
+            .map(entry)
+            .collect();
         entries.map_err(|e| server.meaning(&e))
     }
 }
@@ -49,7 +55,10 @@ fn behind(prefix: &[u8]) -> Option<Bytes> {
 /// The same error, where it is about entries that cannot be read.
 pub(super) fn in_database(server: &Server, e: StoreError) -> StoreError {
     match e {
-        StoreError::View { what } => StoreError::Damaged { server: server.address.to_string(), what },
+        StoreError::View { what } => StoreError::Damaged {
+            server: server.address.to_string(),
+            what,
+        },
         other => other,
     }
 }
@@ -69,7 +78,11 @@ struct Links {
 
 impl Readers {
     pub(super) fn new(server: Server) -> Self {
-        Self { server, links: Mutex::default(), freed: Condvar::new() }
+        Self {
+            server,
+            links: Mutex::default(),
+            freed: Condvar::new(),
+        }
     }
 
     /// Answers a query from one state of the table.
@@ -107,10 +120,16 @@ impl Readers {
     fn turn(&self) -> Turn<'_> {
         let mut links = self.links();
         while links.lent >= MOST {
-            links = self.freed.wait(links).unwrap_or_else(PoisonError::into_inner);
+            links = self
+                .freed
+                .wait(links)
+                .unwrap_or_else(PoisonError::into_inner);
         }
         links.lent += 1;
-        Turn { of: self, link: links.idle.pop() }
+        Turn {
+            of: self,
+            link: links.idle.pop(),
+        }
     }
 
     fn links(&self) -> MutexGuard<'_, Links> {

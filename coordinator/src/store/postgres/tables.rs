@@ -34,14 +34,22 @@ pub(super) async fn migrate(server: &Server) -> Result<(), StoreError> {
     let known = STEPS.len() as i32;
     // Most starts change nothing, and then the user needs no right to create anything.
     let is_there = "SELECT to_regclass('sightline.migrations') IS NOT NULL";
-    if client.query_one_scalar::<bool, _>(is_there, &[]).await.map_err(meaning)?
+    if client
+        .query_one_scalar::<bool, _>(is_there, &[])
+        .await
+        .map_err(meaning)?
         && reached(&client).await.map_err(meaning)? == known
     {
         return Ok(());
     }
-    let change = client.build_transaction().isolation_level(IsolationLevel::ReadCommitted);
+    let change = client
+        .build_transaction()
+        .isolation_level(IsolationLevel::ReadCommitted);
     let change = change.start().await.map_err(meaning)?;
-    change.execute("SELECT pg_advisory_xact_lock($1)", &[&LOCK]).await.map_err(meaning)?;
+    change
+        .execute("SELECT pg_advisory_xact_lock($1)", &[&LOCK])
+        .await
+        .map_err(meaning)?;
     change
         .batch_execute(
             "CREATE SCHEMA IF NOT EXISTS sightline; \
@@ -51,7 +59,11 @@ pub(super) async fn migrate(server: &Server) -> Result<(), StoreError> {
         .map_err(meaning)?;
     let found = reached(change.client()).await.map_err(meaning)?;
     if found > known {
-        return Err(StoreError::NewerTables { server: server.address.to_string(), found, known });
+        return Err(StoreError::NewerTables {
+            server: server.address.to_string(),
+            found,
+            known,
+        });
     }
     for (version, step) in (1..).zip(STEPS).skip(found.max(0) as usize) {
         change.batch_execute(step).await.map_err(meaning)?;
@@ -62,5 +74,7 @@ pub(super) async fn migrate(server: &Server) -> Result<(), StoreError> {
 }
 
 async fn reached(client: &tokio_postgres::Client) -> Result<i32, tokio_postgres::Error> {
-    client.query_one_scalar("SELECT coalesce(max(version), 0) FROM migrations", &[]).await
+    client
+        .query_one_scalar("SELECT coalesce(max(version), 0) FROM migrations", &[])
+        .await
 }

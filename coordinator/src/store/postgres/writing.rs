@@ -85,9 +85,17 @@ impl Writer {
     }
 
     /// One command's changes, added to `staged`.
-    fn stage(&self, link: &Link, command: &mut dyn Pending, staged: &mut Changes) -> Result<(), StoreError> {
+    fn stage(
+        &self,
+        link: &Link,
+        command: &mut dyn Pending,
+        staged: &mut Changes,
+    ) -> Result<(), StoreError> {
         let table = Reading(&self.server, link);
-        let changed = match command.decide(View(&Over { under: &table, changes: staged })) {
+        let changed = match command.decide(View(&Over {
+            under: &table,
+            changes: staged,
+        })) {
             Some(event) => rules::stage(&event, &table, staged),
             None => Ok(()),
         };
@@ -169,7 +177,10 @@ impl Writer {
                 }
                 Err(e) => {
                     drop(link);
-                    tracing::warn!("the connection was lost during a commit: {}", self.server.meaning(&e));
+                    tracing::warn!(
+                        "the connection was lost during a commit: {}",
+                        self.server.meaning(&e)
+                    );
                     if self.was_committed()? {
                         self.written += 1;
                         return Ok(());
@@ -183,9 +194,14 @@ impl Writer {
     /// Whether the transaction after the last one that is known has been committed. Asks until there is an
     /// answer; the lock makes it wait for a transaction that has not ended.
     fn was_committed(&self) -> Result<bool, StoreError> {
-        let ask = format!("SELECT written FROM fence WHERE epoch = {} FOR UPDATE", self.epoch);
+        let ask = format!(
+            "SELECT written FROM fence WHERE epoch = {} FOR UPDATE",
+            self.epoch
+        );
         loop {
-            let link = self.server.link_while(|| !self.closing.load(Ordering::Relaxed))?;
+            let link = self
+                .server
+                .link_while(|| !self.closing.load(Ordering::Relaxed))?;
             match block_on(link.client.query_opt(&ask, &[])) {
                 Ok(Some(row)) => {
                     let written: i64 = row.try_get(0).map_err(|e| self.server.meaning(&e))?;
@@ -193,11 +209,17 @@ impl Writer {
                 }
                 Ok(None) => {
                     let what = format!("nothing is known of epoch {} there", self.epoch);
-                    return Err(StoreError::Damaged { server: self.server.address.to_string(), what });
+                    return Err(StoreError::Damaged {
+                        server: self.server.address.to_string(),
+                        what,
+                    });
                 }
                 Err(_) if self.closing.load(Ordering::Relaxed) => return Err(StoreError::Closed),
                 Err(e) => {
-                    tracing::warn!("the outcome of a commit is asked for again: {}", self.server.meaning(&e));
+                    tracing::warn!(
+                        "the outcome of a commit is asked for again: {}",
+                        self.server.meaning(&e)
+                    );
                     std::thread::sleep(AGAIN[0]);
                 }
             }

@@ -76,7 +76,9 @@ pub enum CellRefusal {
     #[error("triangle {0} is in the set, but it does not meet the cell and has no witness")]
     NoWitness(u32),
     /// The cell relies on the certificate of a box that does not contain it, or that is missing.
-    #[error("the cell relies on certificates of a box that does not contain it, or that are missing")]
+    #[error(
+        "the cell relies on certificates of a box that does not contain it, or that are missing"
+    )]
     Above,
     /// A witness does not show its triangle.
     #[error("the witness for triangle {0}: {1}")]
@@ -153,10 +155,18 @@ pub fn check_cell_until(
     picked.retain(|claim| pick(*claim));
     // Finding the surfaces of a scene takes time. Only groups that refer to surfaces need them.
     let by_surface = |h: &HiddenGroup| matches!(h.target, Target::Surfaces | Target::Half);
-    let surfaces = if claims.certificate.hidden.iter().any(by_surface) { scene.surfaces().len() } else { 0 };
+    let surfaces = if claims.certificate.hidden.iter().any(by_surface) {
+        scene.surfaces().len()
+    } else {
+        0
+    };
     let parity = vec![OnceLock::new(); surfaces];
     let refuse = |claim: &Claim| {
-        if cancelled() { Some(CellRefusal::Cancelled) } else { check(scene, claims, &parity, *claim).err() }
+        if cancelled() {
+            Some(CellRefusal::Cancelled)
+        } else {
+            check(scene, claims, &parity, *claim).err()
+        }
     };
     // The first refusal is deterministic. One claim a task: one box can take as long as a thousand triangles.
     let refusal = picked.par_iter().with_max_len(1).find_map_first(refuse);
@@ -177,12 +187,17 @@ fn check(
         }
         Claim::Seen(at) => {
             let (id, witness) = &claims.certificate.seen[at];
-            check_cell_witness(scene, claims.cell, *id, witness).map_err(|e| CellRefusal::Witness(*id, e))?;
+            check_cell_witness(scene, claims.cell, *id, witness)
+                .map_err(|e| CellRefusal::Witness(*id, e))?;
         }
         Claim::Hidden(at) => {
             let group = &claims.certificate.hidden[at];
-            check_group(scene, claims.cell, parity, group)
-                .map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })?;
+            check_group(scene, claims.cell, parity, group).map_err(|reason| {
+                CellRefusal::Hidden {
+                    triangles: group.triangles.clone(),
+                    reason,
+                }
+            })?;
         }
         Claim::Shared(at) => check_shared(scene, claims.certificate.shared.as_ref(), at)?,
         Claim::Above(at) => check_shared(scene, claims.above, at)?,
@@ -195,14 +210,20 @@ fn check(
 ///
 /// # Errors
 /// [`CellRefusal::Apart`], or [`CellRefusal::Cell`] when the cell has no volume.
-pub fn check_box_claim(scene: &Triangles<'_>, claims: &CellClaims<'_>, at: usize) -> Result<(), CellRefusal> {
+pub fn check_box_claim(
+    scene: &Triangles<'_>,
+    claims: &CellClaims<'_>,
+    at: usize,
+) -> Result<(), CellRefusal> {
     let Aabb { min, max } = claims.cell;
     if !(min.cmplt(max).all() && min.is_finite() && max.is_finite()) {
         return Err(CellRefusal::Cell);
     }
     let apart = &claims.certificate.apart[at];
-    check_apart(scene, claims.cell, apart)
-        .map_err(|reason| CellRefusal::Apart { bounds: apart.bounds, reason })
+    check_apart(scene, claims.cell, apart).map_err(|reason| CellRefusal::Apart {
+        bounds: apart.bounds,
+        reason,
+    })
 }
 
 /// Accepts that a group of triangles is hidden from the box of a cell group.
@@ -222,7 +243,10 @@ fn check_shared(
     } else {
         check_group(scene, shared.bounds, &[], group)
     };
-    checked.map_err(|reason| CellRefusal::Hidden { triangles: group.triangles.clone(), reason })
+    checked.map_err(|reason| CellRefusal::Hidden {
+        triangles: group.triangles.clone(),
+        reason,
+    })
 }
 
 /// All claims, provided that every triangle with area has exactly one.
@@ -249,7 +273,10 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         return refuse(*id, "it is in the set, but its kind is not shown");
     }
     let mut known = vec![Known::Nothing; n];
-    claims.visible.iter().for_each(|id| known[*id as usize] = Known::Visible);
+    claims
+        .visible
+        .iter()
+        .for_each(|id| known[*id as usize] = Known::Visible);
     for id in claims.undecided {
         if known[*id as usize] != Known::Visible {
             return refuse(*id, "it is undecided but not in the set");
@@ -273,7 +300,12 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         for id in &group.triangles {
             match known.get_mut(*id as usize) {
                 Some(k @ Known::Nothing) => *k = Known::Accounted,
-                _ => return refuse(*id, "it is in a hidden group and also in the set or in another group"),
+                _ => {
+                    return refuse(
+                        *id,
+                        "it is in a hidden group and also in the set or in another group",
+                    );
+                }
             }
         }
         all.push(Claim::Hidden(at));
@@ -302,12 +334,22 @@ fn account(scene: &Triangles<'_>, claims: &CellClaims<'_>) -> Result<Vec<Claim>,
         }
     }
     all.extend((0..claims.certificate.apart.len()).map(Claim::Apart));
-    all.extend((0..claims.certificate.shared.as_ref().map_or(0, |s| s.hidden.len())).map(Claim::Shared));
+    all.extend(
+        (0..claims
+            .certificate
+            .shared
+            .as_ref()
+            .map_or(0, |s| s.hidden.len()))
+            .map(Claim::Shared),
+    );
     for (id, (k, t)) in known.iter().zip(scene.all()).enumerate() {
         match k {
             Known::Visible => all.push(Claim::Meets(id as u32)),
             Known::Nothing if has_area(t) && scene.shows(id as u32) => {
-                return refuse(id as u32, "it is not in the set, and no proof shows that it is hidden");
+                return refuse(
+                    id as u32,
+                    "it is not in the set, and no proof shows that it is hidden",
+                );
             }
             _ => {}
         }

@@ -36,7 +36,10 @@ fn insert(set: &mut Vec<u64>, bit: usize) {
 
 /// Whether every bit that is in both `a` and `b` is in `whole`.
 fn holds(whole: &[u64], a: &[u64], b: &[u64]) -> bool {
-    a.iter().zip(b).enumerate().all(|(i, (a, b))| a & b & !whole.get(i).copied().unwrap_or(0) == 0)
+    a.iter()
+        .zip(b)
+        .enumerate()
+        .all(|(i, (a, b))| a & b & !whole.get(i).copied().unwrap_or(0) == 0)
 }
 
 fn dot(a: &Line, b: &Line) -> IBig {
@@ -52,17 +55,31 @@ impl Cone {
         let vectors: Vec<Line> = vectors.into_iter().map(reduced).collect();
         let basis = independent(&vectors)?;
         let rows: [&Line; 6] = std::array::from_fn(|k| &vectors[basis[k]]);
-        let mut dual = Self { rays: Vec::new(), halves: vectors.len() };
+        let mut dual = Self {
+            rays: Vec::new(),
+            halves: vectors.len(),
+        };
         for k in 0..6 {
             let mut f = normal(std::array::from_fn(|i| rows[if i < k { i } else { i + 1 }]));
             if sign(&dot(&f, rows[k])) == Ordering::Less {
                 f.iter_mut().for_each(|c| *c = -std::mem::take(c));
             }
             let mut tight = Vec::new();
-            basis.iter().enumerate().filter(|(i, _)| *i != k).for_each(|(_, b)| insert(&mut tight, *b));
-            dual.rays.push(Ray { vector: Vector::new(f), tight });
+            basis
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| *i != k)
+                .for_each(|(_, b)| insert(&mut tight, *b));
+            dual.rays.push(Ray {
+                vector: Vector::new(f),
+                tight,
+            });
         }
-        for (number, v) in vectors.iter().enumerate().filter(|(n, _)| !basis.contains(n)) {
+        for (number, v) in vectors
+            .iter()
+            .enumerate()
+            .filter(|(n, _)| !basis.contains(n))
+        {
             // f·v is the Klein form of f and v with the halves of v exchanged.
             let turned = Vector::new(std::array::from_fn(|i| v[(i + 3) % 6].clone()));
             dual = dual.cut(&turned, number).0?;
@@ -82,12 +99,19 @@ impl Cone {
         // A vector that is not extreme is on fewer facets than an extreme one. Of parallel vectors the first
         // is kept.
         let among = |i: usize, j: usize| holds(&sets[j], &sets[i], &sets[i]);
-        let extreme = |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
+        let extreme =
+            |i: usize| (0..sets.len()).all(|j| i == j || !among(i, j) || (among(j, i) && i < j));
         let rays = (0..sets.len())
             .filter(|i| extreme(*i))
-            .map(|i| Ray { vector: Vector::new(vectors[i].clone()), tight: sets[i].clone() })
+            .map(|i| Ray {
+                vector: Vector::new(vectors[i].clone()),
+                tight: sets[i].clone(),
+            })
             .collect();
-        Some(Self { rays, halves: facets })
+        Some(Self {
+            rays,
+            halves: facets,
+        })
     }
 
     /// The parts on the positive and on the negative side of a vector's polar hyperplane; `None` for a part
@@ -95,7 +119,12 @@ impl Cone {
     pub fn split(self, line: &Vector) -> (Option<Self>, Option<Self>) {
         let number = self.halves;
         let (positive, negative) = self.cut(line, number);
-        let with = |c: Option<Self>| c.map(|c| Self { halves: number + 1, ..c });
+        let with = |c: Option<Self>| {
+            c.map(|c| Self {
+                halves: number + 1,
+                ..c
+            })
+        };
         (with(positive), with(negative))
     }
 
@@ -130,24 +159,39 @@ impl Cone {
         }
         inside.extend(on_edges.iter().cloned());
         outside.extend(on_edges);
-        let cone = |rays| Some(Self { rays, halves: self.halves });
+        let cone = |rays| {
+            Some(Self {
+                rays,
+                halves: self.halves,
+            })
+        };
         (cone(inside), cone(outside))
     }
 
     /// The crossings of a polar hyperplane and the edges between rays on different sides of it.
     fn crossed(&self, line: &Vector, sides: &[Ordering], number: usize) -> Vec<Ray> {
-        let of = |which: Ordering| (0..sides.len()).filter(|i| sides[*i] == which).collect::<Vec<_>>();
+        let of = |which: Ordering| {
+            (0..sides.len())
+                .filter(|i| sides[*i] == which)
+                .collect::<Vec<_>>()
+        };
         let (above, below) = (of(Ordering::Greater), of(Ordering::Less));
         let values = vec![OnceCell::new(); sides.len()];
-        let value = |k: usize| values[k].get_or_init(|| klein(self.rays[k].vector.line(), line.line()));
+        let value =
+            |k: usize| values[k].get_or_init(|| klein(self.rays[k].vector.line(), line.line()));
         let mut out = Vec::new();
         for p in above {
             for n in &below {
                 let (s, t) = (&self.rays[p].tight, &self.rays[*n].tight);
                 // Two rays span an edge if they are tight at four or more half-spaces, and no third ray is
                 // tight at all of these.
-                if s.iter().zip(t).map(|(a, b)| (a & b).count_ones()).sum::<u32>() < 4
-                    || (0..sides.len()).any(|k| k != p && k != *n && holds(&self.rays[k].tight, s, t))
+                if s.iter()
+                    .zip(t)
+                    .map(|(a, b)| (a & b).count_ones())
+                    .sum::<u32>()
+                    < 4
+                    || (0..sides.len())
+                        .any(|k| k != p && k != *n && holds(&self.rays[k].tight, s, t))
                 {
                     continue;
                 }
@@ -157,7 +201,10 @@ impl Cone {
                 let ray = reduced(std::array::from_fn(|i| &v[i] * x - &u[i] * y));
                 let mut tight = s.iter().zip(t).map(|(a, b)| a & b).collect();
                 insert(&mut tight, number);
-                out.push(Ray { vector: Vector::new(ray), tight });
+                out.push(Ray {
+                    vector: Vector::new(ray),
+                    tight,
+                });
             }
         }
         out
@@ -165,7 +212,9 @@ impl Cone {
 
     /// Whether no ray is on the other side of a polar hyperplane than `side`.
     pub fn within(&self, line: &Vector, side: Ordering) -> bool {
-        self.rays.iter().all(|r| r.vector.side(line) != side.reverse())
+        self.rays
+            .iter()
+            .all(|r| r.vector.side(line) != side.reverse())
     }
 
     /// Whether the Klein form has one sign, or 0, on all pairs of rays.
@@ -212,8 +261,10 @@ fn independent(vectors: &[Line]) -> Option<[usize; 6]> {
 fn normal(rows: [&Line; 5]) -> Line {
     reduced(std::array::from_fn(|skip| {
         let columns: Vec<usize> = (0..6).filter(|c| *c != skip).collect();
-        let m: Vec<Vec<IBig>> =
-            rows.iter().map(|r| columns.iter().map(|c| r[*c].clone()).collect()).collect();
+        let m: Vec<Vec<IBig>> = rows
+            .iter()
+            .map(|r| columns.iter().map(|c| r[*c].clone()).collect())
+            .collect();
         let d = determinant(m);
         if skip % 2 == 0 { d } else { -d }
     }))
@@ -225,7 +276,9 @@ fn determinant(mut m: Vec<Vec<IBig>>) -> IBig {
     let mut previous = IBig::ONE;
     let mut negative = false;
     for k in 0..n - 1 {
-        let Some(pivot) = (k..n).find(|i| !m[*i][k].is_zero()) else { return IBig::ZERO };
+        let Some(pivot) = (k..n).find(|i| !m[*i][k].is_zero()) else {
+            return IBig::ZERO;
+        };
         if pivot != k {
             m.swap(pivot, k);
             negative = !negative;

@@ -21,9 +21,16 @@ fn scaled<const N: usize>(x: [f64; N]) -> ([IBig; N], i32) {
         let bits = x.to_bits();
         let field = (bits >> 52 & 0x7ff) as i32;
         let fraction = (bits & ((1 << 52) - 1)) as i64;
-        let (m, e) = if field == 0 { (fraction, -1074) } else { (fraction + (1 << 52), field - 1075) };
+        let (m, e) = if field == 0 {
+            (fraction, -1074)
+        } else {
+            (fraction + (1 << 52), field - 1075)
+        };
         let zeros = if m == 0 { 0 } else { m.trailing_zeros() as i32 };
-        (if x < 0.0 { -(m >> zeros) } else { m >> zeros }, if m == 0 { 0 } else { e + zeros })
+        (
+            if x < 0.0 { -(m >> zeros) } else { m >> zeros },
+            if m == 0 { 0 } else { e + zeros },
+        )
     });
     let up = -parts.iter().map(|p| p.1).min().unwrap_or(0).min(0);
     (parts.map(|(m, e)| IBig::from(m) << (e + up) as usize), up)
@@ -39,7 +46,11 @@ pub fn point(p: [f64; 3]) -> Point {
 pub fn reduced<const N: usize>(mut v: [IBig; N]) -> [IBig; N] {
     let mut common = UBig::ZERO;
     for x in v.iter().filter(|x| !x.is_zero()) {
-        common = if common.is_zero() { x.unsigned_abs() } else { (&common).gcd(x.unsigned_abs()) };
+        common = if common.is_zero() {
+            x.unsigned_abs()
+        } else {
+            (&common).gcd(x.unsigned_abs())
+        };
         if common.is_one() {
             return v;
         }
@@ -106,7 +117,11 @@ pub(super) fn has_area(t: &[Vec3; 3]) -> bool {
 /// The weighted mean of points, for positive weights.
 pub(super) fn mixed(points: &[Point], weights: &[IBig]) -> Point {
     let scale: IBig = points.iter().map(|p| &p[3]).product();
-    let parts: Vec<IBig> = points.iter().zip(weights).map(|(p, w)| w * &scale / &p[3]).collect();
+    let parts: Vec<IBig> = points
+        .iter()
+        .zip(weights)
+        .map(|(p, w)| w * &scale / &p[3])
+        .collect();
     let along = |k: usize| points.iter().zip(&parts).map(|(p, s)| &p[k] * s).sum();
     let total: IBig = weights.iter().sum();
     reduced([along(0), along(1), along(2), total * scale])

@@ -29,11 +29,16 @@ fn hidden_by_surface(
     parity: &Parities,
     id: u32,
 ) -> Result<(), &'static str> {
-    let side = scene.surfaces().hidden_side(scene.tree(), cell, parity, id)?;
+    let side = scene
+        .surfaces()
+        .hidden_side(scene.tree(), cell, parity, id)?;
     let t = exact(&scene.all()[id as usize]);
     let flat = plane([&t[0], &t[1], &t[2]]);
     let corners = [face(cell, 0, false), face(cell, 0, true)].concat();
-    if corners.iter().any(|p| sign(&height(&flat, p)) == side.reverse()) {
+    if corners
+        .iter()
+        .any(|p| sign(&height(&flat, p)) == side.reverse())
+    {
         return Err("a part of the cell is not on its hidden side");
     }
     Ok(())
@@ -56,7 +61,9 @@ pub(super) fn check_group(
                 return Err("it is hidden by surfaces and must have no proofs".to_owned());
             }
             let refusal = group.triangles.par_iter().find_map_first(|id| {
-                hidden_by_surface(scene, cell, parity, *id).err().map(|e| format!("triangle {id}: {e}"))
+                hidden_by_surface(scene, cell, parity, *id)
+                    .err()
+                    .map(|e| format!("triangle {id}: {e}"))
             });
             return refusal.map_or(Ok(()), Err);
         }
@@ -67,13 +74,20 @@ pub(super) fn check_group(
             if meets_box(&all[id as usize], cell) {
                 return Err("it meets the cell".to_owned());
             }
-            if has_area(&all[id as usize]) { vec![exact(&all[id as usize]).into()] } else { Vec::new() }
+            if has_area(&all[id as usize]) {
+                vec![exact(&all[id as usize]).into()]
+            } else {
+                Vec::new()
+            }
         }
         Target::Polygon(corners) => {
             if corners.len() > MAX_CORNERS {
                 return Err(format!("its polygon has more than {MAX_CORNERS} corners"));
             }
-            let corners: Corners = corners.iter().map(|c| point(c.as_dvec3().to_array())).collect();
+            let corners: Corners = corners
+                .iter()
+                .map(|c| point(c.as_dvec3().to_array()))
+                .collect();
             let target = [corners];
             // The containment test below holds for convex flat polygons only.
             check_polygons(&target).map_err(|e| e.to_string())?;
@@ -81,7 +95,10 @@ pub(super) fn check_group(
                 if meets_box(&all[*id as usize], cell) {
                     return Err(format!("triangle {id} meets the cell"));
                 }
-                if !exact(&all[*id as usize]).iter().all(|p| within(&target[0], p)) {
+                if !exact(&all[*id as usize])
+                    .iter()
+                    .all(|p| within(&target[0], p))
+                {
                     return Err(format!("triangle {id} is not in its polygon"));
                 }
             }
@@ -90,8 +107,11 @@ pub(super) fn check_group(
         Target::Box(of) => {
             let Aabb { min, max } = *of;
             check_box(*of)?;
-            let outside =
-                |id: &&u32| all[**id as usize].iter().any(|v| v.cmplt(min).any() || v.cmpgt(max).any());
+            let outside = |id: &&u32| {
+                all[**id as usize]
+                    .iter()
+                    .any(|v| v.cmplt(min).any() || v.cmpgt(max).any())
+            };
             if let Some(id) = group.triangles.iter().find(outside) {
                 return Err(format!("triangle {id} is not in its box"));
             }
@@ -103,9 +123,12 @@ pub(super) fn check_group(
     };
     // If the triangle is hidden from one side of its plane, only the other side needs a proof.
     let half = match (&group.target, &group.triangles[..]) {
-        (Target::Half, [id]) => {
-            Some(scene.surfaces().hidden_side(scene.tree(), cell, parity, *id).map_err(str::to_owned)?)
-        }
+        (Target::Half, [id]) => Some(
+            scene
+                .surfaces()
+                .hidden_side(scene.tree(), cell, parity, *id)
+                .map_err(str::to_owned)?,
+        ),
         _ => None,
     };
     check_proofs(scene, cell, (&targets, half), &group.proofs)
@@ -115,10 +138,16 @@ pub(super) fn check_group(
 /// box leaves the cell through a face and enters the box through a face. Where both share an edge or a
 /// corner, the segments through it form no open set; where they share a part of a face, segments pass it
 /// without being between the faces, so that is refused.
-pub(super) fn check_apart(scene: &Triangles<'_>, cell: Aabb, apart: &HiddenBox) -> Result<(), String> {
+pub(super) fn check_apart(
+    scene: &Triangles<'_>,
+    cell: Aabb,
+    apart: &HiddenBox,
+) -> Result<(), String> {
     let of = apart.bounds;
     check_box(of)?;
-    let common: Vec<f32> = (0..3).map(|a| of.max[a].min(cell.max[a]) - of.min[a].max(cell.min[a])).collect();
+    let common: Vec<f32> = (0..3)
+        .map(|a| of.max[a].min(cell.max[a]) - of.min[a].max(cell.min[a]))
+        .collect();
     let apart_or_touching = common.iter().filter(|length| **length <= 0.0).count();
     if common.iter().all(|length| *length >= 0.0) && apart_or_touching < 2 {
         return Err("the box and the cell share a volume or a part of a face".to_owned());
@@ -141,7 +170,11 @@ fn faces_towards(of: Aabb, cell: Aabb) -> Vec<Corners> {
             let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
             let area = min[u] < max[u] && min[v] < max[v];
             // Whether a point of the cell is on the outer side of the face.
-            let towards = if *up { cell.max[*axis] > max[*axis] } else { cell.min[*axis] < min[*axis] };
+            let towards = if *up {
+                cell.max[*axis] > max[*axis]
+            } else {
+                cell.min[*axis] < min[*axis]
+            };
             area && towards
         })
         .map(|(axis, up)| face(of, axis, up))
@@ -163,11 +196,19 @@ fn check_proofs(
         let flat = face_plane(cell, axis, up);
         let from = face(cell, axis, up);
         for target in targets {
-            let Some(beyond) = clip(target, &flat, Ordering::Greater) else { continue };
-            let proof = proofs.next().ok_or("a proof is missing for a pair of faces")?;
+            let Some(beyond) = clip(target, &flat, Ordering::Greater) else {
+                continue;
+            };
+            let proof = proofs
+                .next()
+                .ok_or("a proof is missing for a pair of faces")?;
             let part = match half {
                 None => Some(from.clone()),
-                Some(side) => clip(&from, &plane([&target[0], &target[1], &target[2]]), side.reverse()),
+                Some(side) => clip(
+                    &from,
+                    &plane([&target[0], &target[1], &target[2]]),
+                    side.reverse(),
+                ),
             };
             shown.push((part, beyond, proof));
         }
@@ -175,9 +216,18 @@ fn check_proofs(
     if proofs.next().is_some() {
         return Err("it has more proofs than pairs of faces".to_owned());
     }
-    let refusal = shown.par_iter().with_max_len(1).find_map_first(|(part, beyond, proof)| {
-        check_hidden(scene.blocking(), part.as_slice(), std::slice::from_ref(beyond), proof).err()
-    });
+    let refusal = shown
+        .par_iter()
+        .with_max_len(1)
+        .find_map_first(|(part, beyond, proof)| {
+            check_hidden(
+                scene.blocking(),
+                part.as_slice(),
+                std::slice::from_ref(beyond),
+                proof,
+            )
+            .err()
+        });
     match refusal {
         None => Ok(()),
         Some(e @ Refusal::Polygon) => Err(format!("a face is not a valid polygon: {e}")),

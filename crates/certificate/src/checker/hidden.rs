@@ -20,14 +20,23 @@ use crate::proof::{Proof, Step, Which};
 ///
 /// # Errors
 /// [`Refusal`]: the first fault of the proof.
-pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &Proof) -> Result<(), Refusal> {
+pub fn check_hidden(
+    scene: &[[Vec3; 3]],
+    a: &[Corners],
+    b: &[Corners],
+    proof: &Proof,
+) -> Result<(), Refusal> {
     check_polygons(a)?;
     check_polygons(b)?;
     let mut occluders = Vec::with_capacity(proof.occluders.len());
     for triangles in &proof.occluders {
         occluders.push(Occluder::new(scene, triangles).ok_or(Refusal::Occluder(occluders.len()))?);
     }
-    let mut check = Check { steps: &proof.steps, at: 0, occluders };
+    let mut check = Check {
+        steps: &proof.steps,
+        at: 0,
+        occluders,
+    };
     for x in a {
         for y in b {
             for (x, y) in parts(x, y) {
@@ -35,7 +44,11 @@ pub fn check_hidden(scene: &[[Vec3; 3]], a: &[Corners], b: &[Corners], proof: &P
             }
         }
     }
-    if check.at < proof.steps.len() { Err(Refusal::Length("too many")) } else { Ok(()) }
+    if check.at < proof.steps.len() {
+        Err(Refusal::Length("too many"))
+    } else {
+        Ok(())
+    }
 }
 
 struct Check<'a> {
@@ -56,11 +69,20 @@ impl<'a> Check<'a> {
         let mut open = vec![(a.to_vec(), b.to_vec())];
         while let Some((a, b)) = open.pop() {
             if let Some(Step::Divide { of, from, to }) = self.steps.get(self.at) {
-                let unknown = Refusal::Unknown { step: self.at, what: "a point of a polygon" };
+                let unknown = Refusal::Unknown {
+                    step: self.at,
+                    what: "a point of a polygon",
+                };
                 self.at += 1;
                 let whole = if *of == Which::A { &a } else { &b };
                 let [first, second] = divide(whole, *from, *to).ok_or(unknown)?;
-                let with = |half| if *of == Which::A { (half, b.clone()) } else { (a.clone(), half) };
+                let with = |half| {
+                    if *of == Which::A {
+                        (half, b.clone())
+                    } else {
+                        (a.clone(), half)
+                    }
+                };
                 open.extend([with(second), with(first)]);
                 continue;
             }
@@ -72,8 +94,16 @@ impl<'a> Check<'a> {
                     .unwrap_or(Ordering::Equal)
             };
             let (ahead, behind) = (other(&pa, &b), other(&pb, &a));
-            let a = Side { corners: a, plane: pa, other: ahead };
-            let b = Side { corners: b, plane: pb, other: behind };
+            let a = Side {
+                corners: a,
+                plane: pa,
+                other: ahead,
+            };
+            let b = Side {
+                corners: b,
+                plane: pb,
+                other: behind,
+            };
             let mut known = Known::new();
             for cone in start(&a, &b) {
                 self.region((&a, &b), &mut known, cone.ok_or(Refusal::Start)?)?;
@@ -84,41 +114,66 @@ impl<'a> Check<'a> {
 
     /// Checks the steps about one cone. `known` keeps the constraints by the planes of A and B for each
     /// occluder.
-    fn region(&mut self, (a, b): (&Side, &Side), known: &mut Known, cone: Cone) -> Result<(), Refusal> {
+    fn region(
+        &mut self,
+        (a, b): (&Side, &Side),
+        known: &mut Known,
+        cone: Cone,
+    ) -> Result<(), Refusal> {
         let mut open = vec![Some(cone)];
         while let Some(cone) = open.pop() {
             let at = self.at;
             match self.next()? {
                 Step::Unreal => {
                     if cone.is_some_and(|c| !c.unreal()) {
-                        return Err(Refusal::False { step: at, what: "the region may hold real lines" });
+                        return Err(Refusal::False {
+                            step: at,
+                            what: "the region may hold real lines",
+                        });
                     }
                 }
-                Step::Block { occluder, negative, cuts } => {
+                Step::Block {
+                    occluder,
+                    negative,
+                    cuts,
+                } => {
                     let number = *occluder as usize;
-                    let occluder = self
-                        .occluders
-                        .get(number)
-                        .ok_or(Refusal::Unknown { step: at, what: "an occluder" })?;
+                    let occluder = self.occluders.get(number).ok_or(Refusal::Unknown {
+                        step: at,
+                        what: "an occluder",
+                    })?;
                     let planes = known.entry(number).or_insert_with(|| occluder.planes(a, b));
-                    let planes = planes.as_ref().map_err(|what| Refusal::False { step: at, what })?;
+                    let planes = planes
+                        .as_ref()
+                        .map_err(|what| Refusal::False { step: at, what })?;
                     let constraints = || occluder.boundary.iter().chain(planes);
-                    let inner = if *negative { Ordering::Less } else { Ordering::Greater };
+                    let inner = if *negative {
+                        Ordering::Less
+                    } else {
+                        Ordering::Greater
+                    };
                     let mut rest = cone;
                     let mut outside = Vec::with_capacity(cuts.len());
                     for cut in cuts {
                         let line = &constraints()
                             .find(|c| c.number == usize::from(*cut))
-                            .ok_or(Refusal::Unknown { step: at, what: "a constraint" })?
+                            .ok_or(Refusal::Unknown {
+                                step: at,
+                                what: "a constraint",
+                            })?
                             .line;
                         let (positive, beyond) = rest.map_or((None, None), |c| c.split(line));
-                        let (inside, out) = if *negative { (beyond, positive) } else { (positive, beyond) };
+                        let (inside, out) = if *negative {
+                            (beyond, positive)
+                        } else {
+                            (positive, beyond)
+                        };
                         outside.push(out);
                         rest = inside;
                     }
                     // The rest is inside the constraints that it was cut by.
-                    let mut others =
-                        constraints().filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
+                    let mut others = constraints()
+                        .filter(|c| !cuts.iter().any(|cut| usize::from(*cut) == c.number));
                     if rest.is_some_and(|c| !others.all(|other| c.within(&other.line, inner))) {
                         return Err(Refusal::False {
                             step: at,

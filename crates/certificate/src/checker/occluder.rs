@@ -33,7 +33,11 @@ impl Occluder {
         for (k, OccluderTriangle { reversed, .. }) in triangles.iter().enumerate() {
             let [x, y, z] = &corners[k];
             // Constraints are numbered by the scene's order of the edges: 01, 12, 20.
-            let edges = if *reversed { [(z, x), (y, z), (x, y)] } else { [(x, y), (y, z), (z, x)] };
+            let edges = if *reversed {
+                [(z, x), (y, z), (x, y)]
+            } else {
+                [(x, y), (y, z), (z, x)]
+            };
             for (p, q) in edges {
                 match left.iter().rposition(|(r, s)| *r == q && *s == p) {
                     Some(at) => {
@@ -49,15 +53,25 @@ impl Occluder {
             return None;
         }
         let numbered = boundary.into_iter().enumerate();
-        let boundary = numbered.map(|(i, l)| Constraint { number: i, line: Vector::new(l) }).collect();
+        let boundary = numbered
+            .map(|(i, l)| Constraint {
+                number: i,
+                line: Vector::new(l),
+            })
+            .collect();
         // Only if all triangles lie in one plane and face the same way does a line cross all of them from the
         // same side, the one that the boundary edges say.
         let planes: Vec<Plane> = corners.iter().map(|[a, b, c]| plane([a, b, c])).collect();
         let flat = planes.first()?;
         let ahead = |p: &Plane| sign(&(0..3).map(|i| &p[i] * &flat[i]).sum()) == Ordering::Greater;
-        let one = planes.iter().all(ahead) && corners.iter().flatten().all(|p| height(flat, p).is_zero());
+        let one =
+            planes.iter().all(ahead) && corners.iter().flatten().all(|p| height(flat, p).is_zero());
         let flat = one.then(|| flat.clone());
-        Some(Self { plane: flat, boundary, corners })
+        Some(Self {
+            plane: flat,
+            boundary,
+            corners,
+        })
     }
 }
 
@@ -78,22 +92,35 @@ impl Occluder {
     pub fn planes(&self, a: &Side, b: &Side) -> Result<Vec<Constraint>, &'static str> {
         let mut out = Vec::new();
         for (k, side) in [a, b].into_iter().enumerate() {
-            let places: Vec<[Ordering; 3]> =
-                self.corners.iter().map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p)))).collect();
+            let places: Vec<[Ordering; 3]> = self
+                .corners
+                .iter()
+                .map(|t| t.each_ref().map(|p| sign(&height(&side.plane, p))))
+                .collect();
             if places.contains(&[Ordering::Equal; 3]) {
                 return Err("a triangle in the plane of A or B blocks nothing");
             }
-            if places.iter().flatten().all(|place| *place != side.other.reverse()) {
+            if places
+                .iter()
+                .flatten()
+                .all(|place| *place != side.other.reverse())
+            {
                 continue;
             }
-            let own = self.plane.as_ref().ok_or("an occluder that is not flat is not between A and B")?;
+            let own = self
+                .plane
+                .as_ref()
+                .ok_or("an occluder that is not flat is not between A and B")?;
             let toward = if side.other == Ordering::Less {
                 side.plane.clone().map(|c| -c)
             } else {
                 side.plane.clone()
             };
             let number = self.boundary.len() + k;
-            out.push(Constraint { number, line: Vector::new(meet(&toward, own)) });
+            out.push(Constraint {
+                number,
+                line: Vector::new(meet(&toward, own)),
+            });
         }
         Ok(out)
     }

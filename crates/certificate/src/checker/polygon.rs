@@ -24,15 +24,29 @@ pub(super) fn check_polygons(of: &[Corners]) -> Result<(), Refusal> {
             return false;
         }
         let flat = plane([&c[0], &c[1], &c[2]]);
-        let off: Point =
-            std::array::from_fn(|i| if i < 3 { &c[0][i] + &flat[i] * &c[0][3] } else { c[0][3].clone() });
-        let left = |i: usize, k: usize| sign(&height(&plane([&c[i], &c[(i + 1) % n], &off]), &c[k]));
+        let off: Point = std::array::from_fn(|i| {
+            if i < 3 {
+                &c[0][i] + &flat[i] * &c[0][3]
+            } else {
+                c[0][3].clone()
+            }
+        });
+        let left =
+            |i: usize, k: usize| sign(&height(&plane([&c[i], &c[(i + 1) % n], &off]), &c[k]));
         let inner = left(0, 2);
         inner != Ordering::Equal
             && c.iter().all(|p| height(&flat, p).is_zero())
-            && (0..n).all(|i| (0..n).filter(|k| *k != i && *k != (i + 1) % n).all(|k| left(i, k) == inner))
+            && (0..n).all(|i| {
+                (0..n)
+                    .filter(|k| *k != i && *k != (i + 1) % n)
+                    .all(|k| left(i, k) == inner)
+            })
     };
-    if of.iter().all(sound) { Ok(()) } else { Err(Refusal::Polygon) }
+    if of.iter().all(sound) {
+        Ok(())
+    } else {
+        Err(Refusal::Polygon)
+    }
 }
 
 /// The parts of two polygons, each on one side of the other's plane.
@@ -64,9 +78,17 @@ pub(super) fn clip(corners: &[Point], plane: &Plane, keep: Ordering) -> Option<V
         }
         if sign(&(&heights[i] * &heights[j])) == Ordering::Less {
             // |h(i)|·j + |h(j)|·i is where the edge meets the plane.
-            let weight = |h: &IBig| if sign(h) == Ordering::Less { -h.clone() } else { h.clone() };
+            let weight = |h: &IBig| {
+                if sign(h) == Ordering::Less {
+                    -h.clone()
+                } else {
+                    h.clone()
+                }
+            };
             let (s, t) = (weight(&heights[i]), weight(&heights[j]));
-            out.push(reduced(std::array::from_fn(|k| &corners[j][k] * &s + &corners[i][k] * &t)));
+            out.push(reduced(std::array::from_fn(|k| {
+                &corners[j][k] * &s + &corners[i][k] * &t
+            })));
         }
     }
     Some(out)
@@ -87,7 +109,10 @@ pub(super) fn divide(corners: &[Point], from: u16, to: u16) -> Option<[Vec<Point
         return None;
     }
     let place = |number: usize| {
-        let (p, q) = (&corners[number / 2], &corners[(number / 2 + 1) % corners.len()]);
+        let (p, q) = (
+            &corners[number / 2],
+            &corners[(number / 2 + 1) % corners.len()],
+        );
         if number.is_multiple_of(2) {
             return p.clone();
         }
@@ -117,9 +142,18 @@ pub(super) fn within(polygon: &Corners, p: &Point) -> bool {
     let flat = plane([&polygon[0], &polygon[1], &polygon[2]]);
     // With a point off the plane, each edge spans a plane that has the polygon on one side.
     let off: Point = std::array::from_fn(|i| {
-        if i < 3 { &polygon[0][i] + &flat[i] * &polygon[0][3] } else { polygon[0][3].clone() }
+        if i < 3 {
+            &polygon[0][i] + &flat[i] * &polygon[0][3]
+        } else {
+            polygon[0][3].clone()
+        }
     });
-    let side = |i: usize, p: &Point| sign(&height(&plane([&polygon[i], &polygon[(i + 1) % n], &off]), p));
+    let side = |i: usize, p: &Point| {
+        sign(&height(
+            &plane([&polygon[i], &polygon[(i + 1) % n], &off]),
+            p,
+        ))
+    };
     let inner = side(0, &polygon[2]);
     height(&flat, p).is_zero() && (0..n).all(|i| side(i, p) != inner.reverse())
 }
@@ -131,9 +165,21 @@ pub(super) fn inside(corners: &[Point], p: &Point) -> bool {
         return false;
     }
     // A point off the plane makes "left of an edge" the side of a plane through that edge.
-    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &flat[i] * &p[3] } else { p[3].clone() });
+    let off: Point = std::array::from_fn(|i| {
+        if i < 3 {
+            &p[i] + &flat[i] * &p[3]
+        } else {
+            p[3].clone()
+        }
+    });
     let n = corners.len();
-    let sides: Vec<Ordering> =
-        (0..n).map(|i| sign(&height(&plane([&corners[i], &corners[(i + 1) % n], &off]), p))).collect();
+    let sides: Vec<Ordering> = (0..n)
+        .map(|i| {
+            sign(&height(
+                &plane([&corners[i], &corners[(i + 1) % n], &off]),
+                p,
+            ))
+        })
+        .collect();
     sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0])
 }

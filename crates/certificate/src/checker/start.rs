@@ -30,7 +30,12 @@ pub(super) fn start(a: &Side, b: &Side) -> Vec<Option<Cone>> {
     }
     let k = meet(&a.plane, &b.plane);
     // Both are multiples of k, so the sign of any component that is not 0 decides.
-    let way = |l: &Line| l.iter().zip(&k).map(|(x, y)| sign(&(x * y))).find(|s| *s != Ordering::Equal);
+    let way = |l: &Line| {
+        l.iter()
+            .zip(&k)
+            .map(|(x, y)| sign(&(x * y)))
+            .find(|s| *s != Ordering::Equal)
+    };
     let both = along.iter().any(|l| way(l) == Some(Ordering::Greater))
         && along.iter().any(|l| way(l) == Some(Ordering::Less));
     match (both, across) {

@@ -47,7 +47,9 @@ use sightline_numbers::Aabb;
 use sightline_numbers::union_find::UnionFind;
 
 use super::boxes::meets_box;
-use super::geometry::{Plane, Point, cut, exact, has_area, height, join, klein, mixed, plane, point, sign};
+use super::geometry::{
+    Plane, Point, cut, exact, has_area, height, join, klein, mixed, plane, point, sign,
+};
 use super::polygon::inside;
 use super::tree::TriangleTree;
 use crate::certificate::few_odd_edges;
@@ -84,9 +86,15 @@ impl Surfaces {
         }
         edges.sort_unstable();
         let mut sets = UnionFind::new(scene.len());
-        edges.windows(2).filter(|w| w[0].0 == w[1].0).for_each(|w| sets.join(w[0].1, w[1].1));
+        edges
+            .windows(2)
+            .filter(|w| w[0].0 == w[1].0)
+            .for_each(|w| sets.join(w[0].1, w[1].1));
         let mut odd: BTreeMap<u32, Vec<[[u32; 3]; 2]>> = BTreeMap::new();
-        for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
+        for run in edges
+            .chunk_by(|a, b| a.0 == b.0)
+            .filter(|r| r.len() % 2 == 1)
+        {
             odd.entry(sets.root(run[0].1)).or_default().push(run[0].0);
         }
         let mut members: BTreeMap<u32, usize> = BTreeMap::new();
@@ -102,14 +110,24 @@ impl Surfaces {
                 continue;
             }
             let id = *number.entry(root).or_insert_with(|| {
-                all.push(Surface { min: v[0], max: v[0], patches: patches(border) });
+                all.push(Surface {
+                    min: v[0],
+                    max: v[0],
+                    patches: patches(border),
+                });
                 all.len() as u32 - 1
             });
             let s = &mut all[id as usize];
-            (s.min, s.max) = v.iter().fold((s.min, s.max), |(a, b), p| (a.min(*p), b.max(*p)));
+            (s.min, s.max) = v
+                .iter()
+                .fold((s.min, s.max), |(a, b), p| (a.min(*p), b.max(*p)));
             of[t] = Some(id);
         }
-        Self { of, all, front: vec![OnceLock::new(); scene.len()] }
+        Self {
+            of,
+            all,
+            front: vec![OnceLock::new(); scene.len()],
+        }
     }
 
     /// The number of surfaces.
@@ -134,10 +152,18 @@ impl Surfaces {
             .get_or_init(|| self.parity_in_front(scene, s, t))
             .ok_or("its surface passes through it, or its parity cannot be decided")?;
         let v = &scene.all()[t as usize];
-        if !self.all[s as usize].patches.iter().all(|p| apart(cell, v, p)) {
+        if !self.all[s as usize]
+            .patches
+            .iter()
+            .all(|p| apart(cell, v, p))
+        {
             return Err("a patch of its surface may be between the cell and the triangle");
         }
-        Ok(if of_cell == front { Ordering::Less } else { Ordering::Greater })
+        Ok(if of_cell == front {
+            Ordering::Less
+        } else {
+            Ordering::Greater
+        })
     }
 
     /// The parity of a cell; `None` if the surface meets the cell or no segment is in general position.
@@ -145,12 +171,17 @@ impl Surfaces {
         let mut near = Vec::new();
         scene.in_box(cell, &mut near);
         let own = |u: &&u32| self.of[**u as usize] == Some(s);
-        if near.iter().filter(own).any(|u| meets_box(&scene.all()[*u as usize], cell)) {
+        if near
+            .iter()
+            .filter(own)
+            .any(|u| meets_box(&scene.all()[*u as usize], cell))
+        {
             return None;
         }
         let middle = (cell.min.as_dvec3() + cell.max.as_dvec3()) * 0.5;
         let from = point(middle.to_array());
-        (0..TRIES).find_map(|k| self.parity(scene, s, (&from, cell), self.outside(s, middle, k), None))
+        (0..TRIES)
+            .find_map(|k| self.parity(scene, s, (&from, cell), self.outside(s, middle, k), None))
     }
 
     /// The parity on the side of a triangle that its normal points to; `None` if that has no one value.
@@ -162,7 +193,11 @@ impl Surfaces {
         let mut near = Vec::new();
         scene.in_box(bounds, &mut near);
         let pierces = |u: &&u32| **u != t && pierces(&corners, &flat, &scene.all()[**u as usize]);
-        if near.iter().filter(|u| self.of[**u as usize] == Some(s)).any(|u| pierces(&u)) {
+        if near
+            .iter()
+            .filter(|u| self.of[**u as usize] == Some(s))
+            .any(|u| pierces(&u))
+        {
             return None;
         }
         (0..TRIES).find_map(|k| {
@@ -187,7 +222,11 @@ impl Surfaces {
         // The displacements have periods 5 and 7, so the directions differ for each attempt.
         to[(axis + 1) % 3] += size * 0.0131 * f64::from(1 + k % 5);
         to[(axis + 2) % 3] -= size * 0.0077 * f64::from(1 + k % 7);
-        to[axis] = if k.is_multiple_of(2) { max[axis] + size } else { min[axis] - size };
+        to[axis] = if k.is_multiple_of(2) {
+            max[axis] + size
+        } else {
+            min[axis] - size
+        };
         to
     }
 
@@ -208,10 +247,14 @@ impl Surfaces {
             return None;
         }
         let end = point(to);
-        let around =
-            Aabb::new(to.map(|c| (c as f32).next_down()).into(), to.map(|c| (c as f32).next_up()).into());
+        let around = Aabb::new(
+            to.map(|c| (c as f32).next_down()).into(),
+            to.map(|c| (c as f32).next_up()).into(),
+        );
         let along = scene.along(bounds, around);
-        let own = along.iter().filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+        let own = along
+            .iter()
+            .filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
         let mut odd = false;
         for u in own.map(|u| &scene.all()[*u as usize]).chain(patches) {
             odd ^= passes(u, from, &end)?;
@@ -245,13 +288,23 @@ fn passes(t: &[Vec3; 3], p: &Point, q: &Point) -> Option<bool> {
 /// its centre is one.
 fn pierces(t: &[Point; 3], flat: &Plane, u: &[Vec3; 3]) -> bool {
     let [a, b, c] = t;
-    let off: Point = std::array::from_fn(|i| if i < 3 { &a[i] + &flat[i] * &a[3] } else { a[3].clone() });
+    let off: Point = std::array::from_fn(|i| {
+        if i < 3 {
+            &a[i] + &flat[i] * &a[3]
+        } else {
+            a[3].clone()
+        }
+    });
     let mut left: Vec<Point> = exact(u).into();
     let negated = |f: &Plane| f.clone().map(|c| -c);
     let mut walls = vec![flat.clone(), negated(flat)];
     for (p, q, r) in [(a, b, c), (b, c, a), (c, a, b)] {
         let wall = plane([p, q, &off]);
-        walls.push(if sign(&height(&wall, r)) == Ordering::Less { negated(&wall) } else { wall });
+        walls.push(if sign(&height(&wall, r)) == Ordering::Less {
+            negated(&wall)
+        } else {
+            wall
+        });
     }
     for wall in &walls {
         let heights: Vec<Ordering> = left.iter().map(|p| sign(&height(wall, p))).collect();
@@ -283,7 +336,13 @@ fn apart(Aabb { min: lo, max: hi }: Aabb, t: &[Vec3; 3], patch: &[Vec3; 3]) -> b
     }
     let cell: Vec<Point> = (0..8)
         .map(|k| {
-            let at = |axis: usize| f64::from(if k >> axis & 1 == 1 { hi[axis] } else { lo[axis] });
+            let at = |axis: usize| {
+                f64::from(if k >> axis & 1 == 1 {
+                    hi[axis]
+                } else {
+                    lo[axis]
+                })
+            };
             point([at(0), at(1), at(2)])
         })
         .collect();

@@ -9,15 +9,24 @@ use crate::proof::{OccluderTriangle, Proof, Step, Which};
 /// Two squares that face each other at a distance of 10.
 fn squares() -> [Vec<Corners>; 2] {
     [0.0, 10.0].map(|z| {
-        vec![corners(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z)))]
+        vec![corners(
+            &[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z)),
+        )]
     })
 }
 
 fn refused(scene: &[[Vec3; 3]], occluder: Vec<(u32, bool)>) -> Option<Refusal> {
     let [a, b] = squares();
     let occluder: Vec<OccluderTriangle> = occluder.into_iter().map(Into::into).collect();
-    let block = |negative| Step::Block { occluder: 0, negative, cuts: Vec::new() };
-    let proofs = [false, true].map(|n| Proof { occluders: vec![occluder.clone()], steps: vec![block(n)] });
+    let block = |negative| Step::Block {
+        occluder: 0,
+        negative,
+        cuts: Vec::new(),
+    };
+    let proofs = [false, true].map(|n| Proof {
+        occluders: vec![occluder.clone()],
+        steps: vec![block(n)],
+    });
     let [x, y] = proofs.map(|p| check_hidden(scene, &a, &b, &p));
     x.err().and(y.err())
 }
@@ -28,13 +37,25 @@ fn a_triangle_blocks_if_it_is_in_the_way() {
     let wall = [v(-9.0, -9.0, 5.0), v(30.0, -9.0, 5.0), v(-9.0, 30.0, 5.0)];
     assert_eq!(refused(&[wall], vec![(0, false)]), None);
     let aside = wall.map(|p| p + Vec3::X * 50.0);
-    assert!(matches!(refused(&[aside], vec![(0, false)]), Some(Refusal::False { .. })));
+    assert!(matches!(
+        refused(&[aside], vec![(0, false)]),
+        Some(Refusal::False { .. })
+    ));
     let behind = wall.map(|p| p + Vec3::Z * 50.0);
-    assert!(matches!(refused(&[behind], vec![(0, false)]), Some(Refusal::False { .. })));
+    assert!(matches!(
+        refused(&[behind], vec![(0, false)]),
+        Some(Refusal::False { .. })
+    ));
     // In B's plane it blocks nothing.
     let in_plane = wall.map(|p| p + Vec3::Z * 5.0);
-    assert!(matches!(refused(&[in_plane], vec![(0, false)]), Some(Refusal::False { .. })));
-    assert_eq!(refused(&[wall], vec![(1, false)]), Some(Refusal::Occluder(0)));
+    assert!(matches!(
+        refused(&[in_plane], vec![(0, false)]),
+        Some(Refusal::False { .. })
+    ));
+    assert_eq!(
+        refused(&[wall], vec![(1, false)]),
+        Some(Refusal::Occluder(0))
+    );
 }
 
 #[test]
@@ -42,12 +63,21 @@ fn an_occluder_needs_a_boundary_and_area() {
     let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     let aside = [v(50.0, 0.0, 5.0), v(60.0, 0.0, 5.0), v(50.0, 9.0, 5.0)];
     // Both sides of a sheet: every edge cancels.
-    assert_eq!(refused(&[aside, aside], vec![(0, false), (1, true)]), Some(Refusal::Occluder(0)));
+    assert_eq!(
+        refused(&[aside, aside], vec![(0, false), (1, true)]),
+        Some(Refusal::Occluder(0))
+    );
     assert_eq!(refused(&[aside], vec![]), Some(Refusal::Occluder(0)));
     let point = [v(0.5, 0.5, 5.0); 3];
-    assert_eq!(refused(&[point], vec![(0, false)]), Some(Refusal::Occluder(0)));
+    assert_eq!(
+        refused(&[point], vec![(0, false)]),
+        Some(Refusal::Occluder(0))
+    );
     let twice = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 5.0), v(2.0, 0.5, 5.0)];
-    assert_eq!(refused(&[twice], vec![(0, false)]), Some(Refusal::Occluder(0)));
+    assert_eq!(
+        refused(&[twice], vec![(0, false)]),
+        Some(Refusal::Occluder(0))
+    );
     // Collinear, and through B's plane, where the occluder needs a plane of its own.
     let needle = [v(0.5, 0.5, 5.0), v(0.5, 0.5, 15.0), v(0.5, 0.5, 25.0)];
     assert!(refused(&[needle], vec![(0, false)]).is_some());
@@ -57,16 +87,26 @@ fn an_occluder_needs_a_boundary_and_area() {
 fn triangles_of_opposite_windings_have_no_common_plane() {
     let v = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     // Behind B. It would block if the first of three copies, which cancels, could reverse the plane.
-    let behind = [v(-9.0, -9.0, 12.0), v(30.0, -9.0, 12.0), v(-9.0, 30.0, 12.0)];
+    let behind = [
+        v(-9.0, -9.0, 12.0),
+        v(30.0, -9.0, 12.0),
+        v(-9.0, 30.0, 12.0),
+    ];
     for first in [false, true] {
         let occluder = vec![(0, first), (0, !first), (0, !first)];
-        assert!(matches!(refused(&[behind], occluder), Some(Refusal::False { .. })));
+        assert!(matches!(
+            refused(&[behind], occluder),
+            Some(Refusal::False { .. })
+        ));
     }
     // It crosses B's plane and is beside all lines on the side of A.
     let leaning = [v(-9.0, -9.0, 10.5), v(30.0, -9.0, 10.5), v(0.5, 90.0, 9.5)];
     for first in [false, true] {
         let occluder = vec![(0, first), (0, !first), (0, !first)];
-        assert!(matches!(refused(&[leaning], occluder), Some(Refusal::False { .. })));
+        assert!(matches!(
+            refused(&[leaning], occluder),
+            Some(Refusal::False { .. })
+        ));
     }
 }
 
@@ -78,7 +118,12 @@ fn an_invalid_polygon_is_refused() {
         corners(&in_line.map(|[x, y]| DVec3::new(x, y, 0.0))),
         a[0][..2].to_vec(),
         a[0].iter().map(|p| p.clone().map(|c| -c)).collect(),
-        vec![a[0][0].clone(), a[0][2].clone(), a[0][1].clone(), a[0][3].clone()],
+        vec![
+            a[0][0].clone(),
+            a[0][2].clone(),
+            a[0][1].clone(),
+            a[0][3].clone(),
+        ],
     ];
     for bad in bad {
         assert_eq!(
@@ -86,7 +131,10 @@ fn an_invalid_polygon_is_refused() {
             Err(Refusal::Polygon)
         );
         let [p, q] = [[0.5, 0.5, 0.0], [0.5, 0.5, 10.0]].map(point);
-        assert_eq!(check_witness(&[], &[bad], &b, &p, &q), Err(Refusal::Polygon));
+        assert_eq!(
+            check_witness(&[], &[bad], &b, &p, &q),
+            Err(Refusal::Polygon)
+        );
     }
 }
 
@@ -103,22 +151,65 @@ fn an_end_with_a_negative_weight_is_refused() {
 #[test]
 fn a_division_without_area_is_refused() {
     let [a, b] = squares();
-    for (from, to) in [(65535, 0), (0, 65535), (0, 1), (0, 2), (1, 1), (1, 2), (7, 0)] {
-        let steps = vec![Step::Divide { of: Which::A, from, to }];
-        let claim = Proof { occluders: Vec::new(), steps };
-        assert!(matches!(check_hidden(&[], &a, &b, &claim), Err(Refusal::Unknown { .. })), "{from} {to}");
+    for (from, to) in [
+        (65535, 0),
+        (0, 65535),
+        (0, 1),
+        (0, 2),
+        (1, 1),
+        (1, 2),
+        (7, 0),
+    ] {
+        let steps = vec![Step::Divide {
+            of: Which::A,
+            from,
+            to,
+        }];
+        let claim = Proof {
+            occluders: Vec::new(),
+            steps,
+        };
+        assert!(
+            matches!(
+                check_hidden(&[], &a, &b, &claim),
+                Err(Refusal::Unknown { .. })
+            ),
+            "{from} {to}"
+        );
     }
     // Repeated division keeps the integers short, and the proof ends too early.
-    let steps = vec![Step::Divide { of: Which::A, from: 1, to: 5 }; 200];
-    let claim = Proof { occluders: Vec::new(), steps };
-    assert_eq!(check_hidden(&[], &a, &b, &claim), Err(Refusal::Length("too few")));
+    let steps = vec![
+        Step::Divide {
+            of: Which::A,
+            from: 1,
+            to: 5
+        };
+        200
+    ];
+    let claim = Proof {
+        occluders: Vec::new(),
+        steps,
+    };
+    assert_eq!(
+        check_hidden(&[], &a, &b, &claim),
+        Err(Refusal::Length("too few"))
+    );
 }
 
 #[test]
 fn the_length_of_a_proof_is_checked() {
     let [a, b] = squares();
-    assert_eq!(check_hidden(&[], &a, &b, &Proof::default()), Err(Refusal::Length("too few")));
+    assert_eq!(
+        check_hidden(&[], &a, &b, &Proof::default()),
+        Err(Refusal::Length("too few"))
+    );
     let steps = vec![Step::Unreal];
-    let claim = Proof { occluders: Vec::new(), steps };
-    assert!(matches!(check_hidden(&[], &a, &b, &claim), Err(Refusal::False { step: 0, .. })));
+    let claim = Proof {
+        occluders: Vec::new(),
+        steps,
+    };
+    assert!(matches!(
+        check_hidden(&[], &a, &b, &claim),
+        Err(Refusal::False { step: 0, .. })
+    ));
 }

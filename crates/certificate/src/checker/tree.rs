@@ -26,7 +26,11 @@ impl<'a> TriangleTree<'a> {
         let count = order.len();
         let depth = (count / LEAF).max(1).ilog2();
         let mut boxes = vec![Aabb::EMPTY; 2 << depth];
-        let least = |t: u32| all[t as usize].iter().fold(Vec3::INFINITY, |m, v| m.min(*v));
+        let least = |t: u32| {
+            all[t as usize]
+                .iter()
+                .fold(Vec3::INFINITY, |m, v| m.min(*v))
+        };
         for level in 0..=depth {
             for k in 0..1usize << level {
                 let range = part(count, level, k);
@@ -44,7 +48,12 @@ impl<'a> TriangleTree<'a> {
                 }
             }
         }
-        Self { all, boxes, order, depth }
+        Self {
+            all,
+            boxes,
+            order,
+            depth,
+        }
     }
 
     /// The triangles, in the order of the scene.
@@ -64,7 +73,10 @@ impl<'a> TriangleTree<'a> {
                 continue;
             }
             let leaf = &self.order[part(self.order.len(), level, k)];
-            out.extend(leaf.iter().filter(|t| Aabb::around(self.all[**t as usize]).touches(&of)));
+            out.extend(
+                leaf.iter()
+                    .filter(|t| Aabb::around(self.all[**t as usize]).touches(&of)),
+            );
         }
         out.sort_unstable();
         out.dedup();
@@ -83,9 +95,15 @@ impl<'a> TriangleTree<'a> {
                 let t = f64::from(k) / f64::from(PIECES);
                 p[corner].as_dvec3() * (1.0 - t) + q[corner].as_dvec3() * t
             };
-            let (a, b) = (share(piece, 0).min(share(piece + 1, 0)), share(piece, 1).max(share(piece + 1, 1)));
-            let slack =
-                p.iter().chain(&q).fold(0.0f64, |m, v| m.max(f64::from(v.abs().max_element()))) * 1e-15;
+            let (a, b) = (
+                share(piece, 0).min(share(piece + 1, 0)),
+                share(piece, 1).max(share(piece + 1, 1)),
+            );
+            let slack = p
+                .iter()
+                .chain(&q)
+                .fold(0.0f64, |m, v| m.max(f64::from(v.abs().max_element())))
+                * 1e-15;
             let down = |x: f64| ((x - slack) as f32).next_down();
             let up = |x: f64| ((x + slack) as f32).next_up();
             self.in_box(

@@ -51,7 +51,13 @@ impl<'a> Triangles<'a> {
             let only = |(t, v): (u32, &[Vec3; 3])| if blocks(t) { *v } else { [v[0]; 3] };
             Cow::Owned((0..).zip(all).map(only).collect())
         };
-        Self { all, blocking, tree: TriangleTree::new(all, ids), surfaces: OnceLock::new(), kinds }
+        Self {
+            all,
+            blocking,
+            tree: TriangleTree::new(all, ids),
+            surfaces: OnceLock::new(),
+            kinds,
+        }
     }
 
     /// The triangles, in the order of their ids.

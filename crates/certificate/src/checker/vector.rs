@@ -23,14 +23,22 @@ pub struct Vector {
 impl Vector {
     /// Computes the leading bits.
     pub fn new(line: Line) -> Self {
-        let longest = line.iter().map(dashu_int::ops::BitTest::bit_len).max().unwrap_or(0);
+        let longest = line
+            .iter()
+            .map(dashu_int::ops::BitTest::bit_len)
+            .max()
+            .unwrap_or(0);
         let unit = longest.saturating_sub(KEPT);
         let leading = line.each_ref().map(|c| {
             i64::try_from(c >> unit)
                 .unwrap_or_else(|_| unreachable!("no component is longer than the longest"))
         });
         let size = leading.iter().map(|c| i128::from(*c).abs()).sum();
-        Self { line, leading, size }
+        Self {
+            line,
+            leading,
+            size,
+        }
     }
 
     /// The exact vector.
@@ -40,8 +48,9 @@ impl Vector {
 
     /// The sign of the Klein form with another vector.
     pub fn side(&self, other: &Self) -> Ordering {
-        let near: i128 =
-            (0..6).map(|i| i128::from(self.leading[i]) * i128::from(other.leading[(i + 3) % 6])).sum();
+        let near: i128 = (0..6)
+            .map(|i| i128::from(self.leading[i]) * i128::from(other.leading[(i + 3) % 6]))
+            .sum();
         // (a + d)(b + e) is within |a| + |b| + 1 of ab, for d and e less than 1.
         if near.abs() >= self.size + other.size + 6 {
             near.cmp(&0)
@@ -59,7 +68,8 @@ mod tests {
     use super::*;
 
     fn component() -> impl Strategy<Value = IBig> {
-        (any::<i64>(), 0usize..200, 0usize..64).prop_map(|(x, up, down)| (IBig::from(x) << up) >> down)
+        (any::<i64>(), 0usize..200, 0usize..64)
+            .prop_map(|(x, up, down)| (IBig::from(x) << up) >> down)
     }
 
     proptest! {

@@ -30,7 +30,9 @@ pub fn check_witness(
     check_polygons(a)?;
     check_polygons(b)?;
     if [p, q].iter().any(|e| sign(&e[3]) != Ordering::Greater) {
-        return Err(Refusal::Witness("an end of the witness has no positive weight".to_owned()));
+        return Err(Refusal::Witness(
+            "an end of the witness has no positive weight".to_owned(),
+        ));
     }
     let refuse = |what: &str| Err(Refusal::Witness(what.to_owned()));
     let Some(from) = a.iter().find(|c| inside(c, p)) else {
@@ -50,7 +52,8 @@ pub fn check_witness(
     // Comparisons of doubles are exact: a triangle beyond the segment along an axis has no point on it.
     let beyond = |t: &[Vec3; 3]| {
         (0..3).any(|k| {
-            t.iter().all(|v| f64::from(v[k]) < span[k].0) || t.iter().all(|v| f64::from(v[k]) > span[k].1)
+            t.iter().all(|v| f64::from(v[k]) < span[k].0)
+                || t.iter().all(|v| f64::from(v[k]) > span[k].1)
         })
     };
     for (id, t) in scene.iter().enumerate().filter(|(_, t)| !beyond(t)) {
@@ -105,10 +108,18 @@ pub(super) fn check_cell_witness(
         let low = |x: f64| (x as f32).next_down();
         let high = |x: f64| (x as f32).next_up();
         let [x, y, z] = sides;
-        Aabb::new(Vec3::new(low(x.0), low(y.0), low(z.0)), Vec3::new(high(x.1), high(y.1), high(z.1)))
+        Aabb::new(
+            Vec3::new(low(x.0), low(y.0), low(z.0)),
+            Vec3::new(high(x.1), high(y.1), high(z.1)),
+        )
     };
     for other in scene.tree().along(bounds(&p), bounds(&q)) {
-        if meets(&scene.all()[other as usize], &p, &q, [leaving.as_ref(), Some(&own)]) {
+        if meets(
+            &scene.all()[other as usize],
+            &p,
+            &q,
+            [leaving.as_ref(), Some(&own)],
+        ) {
             return Err(format!("it meets triangle {other}"));
         }
     }
@@ -148,8 +159,10 @@ pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>
     if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
         return false;
     }
-    let in_plane = |f: Option<&Plane>| f.is_some_and(|f| [&a, &b, &c].iter().all(|v| height(f, v).is_zero()));
-    let exempt = x == Ordering::Equal && in_plane(planes[0]) || y == Ordering::Equal && in_plane(planes[1]);
+    let in_plane =
+        |f: Option<&Plane>| f.is_some_and(|f| [&a, &b, &c].iter().all(|v| height(f, v).is_zero()));
+    let exempt =
+        x == Ordering::Equal && in_plane(planes[0]) || y == Ordering::Equal && in_plane(planes[1]);
     if exempt {
         return false;
     }
@@ -158,11 +171,21 @@ pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>
     }
     // The triangle is in one plane with the segment. Two convex sets there are disjoint if and only if a line
     // along a side of one of them separates them.
-    let off: Point = std::array::from_fn(|i| if i < 3 { &p[i] + &own[i] * &p[3] } else { p[3].clone() });
+    let off: Point = std::array::from_fn(|i| {
+        if i < 3 {
+            &p[i] + &own[i] * &p[3]
+        } else {
+            p[3].clone()
+        }
+    });
     let apart = |from: &Point, to: &Point, these: &[&Point], others: &[&Point]| {
         let along = plane([from, to, &off]);
         let side = |v: &&Point| sign(&height(&along, v));
-        let inner = these.iter().map(side).find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
+        let inner = these
+            .iter()
+            .map(side)
+            .find(|s| *s != Ordering::Equal)
+            .unwrap_or(Ordering::Equal);
         // Either side of the segment itself will do.
         let keeps_off = |wanted: Ordering| others.iter().all(|v| side(v) == wanted);
         match inner {
@@ -172,7 +195,9 @@ pub(super) fn meets(t: &[Vec3; 3], p: &Point, q: &Point, planes: [Option<&Plane>
     };
     let corners = [&a, &b, &c];
     let separated = apart(p, q, &[p, q], &corners)
-        || [(&a, &b), (&b, &c), (&c, &a)].into_iter().any(|(s, t)| apart(s, t, &corners, &[p, q]));
+        || [(&a, &b), (&b, &c), (&c, &a)]
+            .into_iter()
+            .any(|(s, t)| apart(s, t, &corners, &[p, q]));
     !separated
 }
 
@@ -196,6 +221,9 @@ mod tests {
     #[test]
     fn a_quotient_beyond_doubles_has_infinite_bounds() {
         let huge = IBig::ONE << 2000;
-        assert_eq!(around(&huge, &IBig::ONE), (f64::NEG_INFINITY, f64::INFINITY));
+        assert_eq!(
+            around(&huge, &IBig::ONE),
+            (f64::NEG_INFINITY, f64::INFINITY)
+        );
     }
 }

@@ -8,7 +8,9 @@ use sightline_numbers::Aabb;
 use sightline_numbers::varint::{self, VarintError};
 
 use super::{APART, CodecError, MAX_BYTES, MAX_MEMORY};
-use crate::certificate::{CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness};
+use crate::certificate::{
+    CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness,
+};
 use crate::proof::{OccluderTriangle, Proof, Step, Which};
 
 /// Decodes what [`encode`](super::encode) wrote, for a scene of the given number of triangles.
@@ -31,7 +33,11 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<CellCertificate, CodecErro
 /// # Errors
 /// [`CodecError`] if the bytes are not the encoding of a certificate.
 pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecError> {
-    let mut from = Reader { rest: raw, triangles, memory: MAX_MEMORY };
+    let mut from = Reader {
+        rest: raw,
+        triangles,
+        memory: MAX_MEMORY,
+    };
     let mut certificate = CellCertificate::default();
     let mut last = 0u32;
     for k in 0..from.count(2)? {
@@ -40,13 +46,20 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
         if k > 0 && step == 0 {
             return Err(CodecError("the triangles with witnesses are not ascending"));
         }
-        last = last.checked_add(step).ok_or(CodecError("a triangle id is out of range"))?;
+        last = last
+            .checked_add(step)
+            .ok_or(CodecError("a triangle id is out of range"))?;
         let witness = match from.byte()? {
             0 => Witness::Floats([from.point()?, from.point()?]),
             1 => {
                 from.take::<[[IBig; 4]; 2]>()?;
                 let mut next = || -> Result<[IBig; 4], CodecError> {
-                    Ok([from.integer()?, from.integer()?, from.integer()?, from.integer()?])
+                    Ok([
+                        from.integer()?,
+                        from.integer()?,
+                        from.integer()?,
+                        from.integer()?,
+                    ])
                 };
                 Witness::Exact(Box::new([next()?, next()?]))
             }
@@ -67,13 +80,20 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
             true => match from.byte()? {
                 0 => false,
                 1 => true,
-                _ => return Err(CodecError("it neither has nor lacks the certificate of a box")),
+                _ => {
+                    return Err(CodecError(
+                        "it neither has nor lacks the certificate of a box",
+                    ));
+                }
             },
         };
         if shared {
             from.take::<GroupCertificate>()?;
             let shared = GroupCertificate {
-                bounds: Aabb { min: from.point()?, max: from.point()? },
+                bounds: Aabb {
+                    min: from.point()?,
+                    max: from.point()?,
+                },
                 hidden: from.hidden()?,
             };
             if shared.hidden.is_empty() {
@@ -84,8 +104,14 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
         if apart {
             for _ in 0..from.count(25)? {
                 from.take::<HiddenBox>()?;
-                let bounds = Aabb { min: from.point()?, max: from.point()? };
-                certificate.apart.push(HiddenBox { bounds, proofs: from.proofs()? });
+                let bounds = Aabb {
+                    min: from.point()?,
+                    max: from.point()?,
+                };
+                certificate.apart.push(HiddenBox {
+                    bounds,
+                    proofs: from.proofs()?,
+                });
             }
             if certificate.apart.is_empty() {
                 return Err(CodecError("the list of hidden boxes is empty"));
@@ -95,7 +121,11 @@ pub fn decode_raw(raw: &[u8], triangles: u32) -> Result<CellCertificate, CodecEr
             return Err(CodecError("the part about a cell group is empty"));
         }
     }
-    if from.rest.is_empty() { Ok(certificate) } else { Err(CodecError("bytes follow the end")) }
+    if from.rest.is_empty() {
+        Ok(certificate)
+    } else {
+        Err(CodecError("bytes follow the end"))
+    }
 }
 
 struct Reader<'a> {
@@ -107,13 +137,19 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn byte(&mut self) -> Result<u8, CodecError> {
-        let (first, rest) = self.rest.split_first().ok_or(CodecError("it ends too early"))?;
+        let (first, rest) = self
+            .rest
+            .split_first()
+            .ok_or(CodecError("it ends too early"))?;
         self.rest = rest;
         Ok(*first)
     }
 
     fn bytes<const N: usize>(&mut self) -> Result<[u8; N], CodecError> {
-        let (first, rest) = self.rest.split_first_chunk().ok_or(CodecError("it ends too early"))?;
+        let (first, rest) = self
+            .rest
+            .split_first_chunk()
+            .ok_or(CodecError("it ends too early"))?;
         self.rest = rest;
         Ok(*first)
     }
@@ -142,25 +178,38 @@ impl Reader<'_> {
     fn count(&mut self, least: usize) -> Result<usize, CodecError> {
         let n: usize = self.small()?;
         if n > self.rest.len() / least {
-            return Err(CodecError("a count is larger than the bytes that follow allow"));
+            return Err(CodecError(
+                "a count is larger than the bytes that follow allow",
+            ));
         }
         Ok(n)
     }
 
     fn id(&self, id: u32) -> Result<u32, CodecError> {
-        if id < self.triangles { Ok(id) } else { Err(CodecError("a triangle id is out of range")) }
+        if id < self.triangles {
+            Ok(id)
+        } else {
+            Err(CodecError("a triangle id is out of range"))
+        }
     }
 
     fn point(&mut self) -> Result<Vec3, CodecError> {
         let mut next = || Ok(f32::from_le_bytes(self.bytes()?));
         let p = Vec3::new(next()?, next()?, next()?);
-        if p.is_finite() { Ok(p) } else { Err(CodecError("a point is not finite")) }
+        if p.is_finite() {
+            Ok(p)
+        } else {
+            Err(CodecError("a point is not finite"))
+        }
     }
 
     fn integer(&mut self) -> Result<IBig, CodecError> {
         let head = self.number()?;
         let length = usize::try_from(head >> 1).map_err(|_| CodecError("a number is too large"))?;
-        let (bytes, rest) = self.rest.split_at_checked(length).ok_or(CodecError("it ends too early"))?;
+        let (bytes, rest) = self
+            .rest
+            .split_at_checked(length)
+            .ok_or(CodecError("it ends too early"))?;
         self.rest = rest;
         let canonical = bytes.last().map_or(head & 1 == 0, |b| *b != 0);
         if !canonical {
@@ -179,7 +228,9 @@ impl Reader<'_> {
                 if k > 0 && step == 0 {
                     return Err(CodecError("triangle ids are not ascending"));
                 }
-                last = last.checked_add(step).ok_or(CodecError("a triangle id is out of range"))?;
+                last = last
+                    .checked_add(step)
+                    .ok_or(CodecError("a triangle id is out of range"))?;
                 self.id(last)
             })
             .collect()
@@ -191,7 +242,10 @@ impl Reader<'_> {
             self.take::<HiddenGroup>()?;
             let target = match self.byte()? {
                 0 => Target::Triangle,
-                1 => Target::Box(Aabb { min: self.point()?, max: self.point()? }),
+                1 => Target::Box(Aabb {
+                    min: self.point()?,
+                    max: self.point()?,
+                }),
                 2 => Target::Surfaces,
                 3 => Target::Half,
                 4 => {
@@ -209,7 +263,11 @@ impl Reader<'_> {
                 return Err(CodecError("a group has no triangles"));
             }
             let proofs = self.proofs()?;
-            all.push(HiddenGroup { target, triangles, proofs });
+            all.push(HiddenGroup {
+                target,
+                triangles,
+                proofs,
+            });
         }
         Ok(all)
     }
@@ -228,13 +286,18 @@ impl Reader<'_> {
             for _ in 0..self.count(1)? {
                 self.take::<OccluderTriangle>()?;
                 let x = self.number()?;
-                let d = i64::try_from(x >> 2).map_err(|_| CodecError("a triangle id is out of range"))?;
+                let d = i64::try_from(x >> 2)
+                    .map_err(|_| CodecError("a triangle id is out of range"))?;
                 if d == 0 && x & 2 != 0 {
                     return Err(CodecError("a difference of 0 has a sign"));
                 }
                 last = last.saturating_add(if x & 2 == 0 { d } else { -d });
-                let id = u32::try_from(last).map_err(|_| CodecError("a triangle id is out of range"))?;
-                members.push(OccluderTriangle { triangle: self.id(id)?, reversed: x & 1 == 1 });
+                let id =
+                    u32::try_from(last).map_err(|_| CodecError("a triangle id is out of range"))?;
+                members.push(OccluderTriangle {
+                    triangle: self.id(id)?,
+                    reversed: x & 1 == 1,
+                });
             }
             proof.occluders.push(members);
         }
@@ -265,7 +328,11 @@ impl Reader<'_> {
                         1 => Which::B,
                         _ => return Err(CodecError("the kind of a step is unknown")),
                     };
-                    Step::Divide { of, from: self.small()?, to: self.small()? }
+                    Step::Divide {
+                        of,
+                        from: self.small()?,
+                        to: self.small()?,
+                    }
                 }
                 _ => return Err(CodecError("the kind of a step is unknown")),
             };

@@ -6,7 +6,9 @@ use proptest::prelude::*;
 use sightline_numbers::Aabb;
 
 use super::{decode, encode};
-use crate::certificate::{CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness};
+use crate::certificate::{
+    CellCertificate, GroupCertificate, HiddenBox, HiddenGroup, Target, Witness,
+};
 use crate::proof::{OccluderTriangle, Proof, Step, Which};
 
 fn integer() -> impl Strategy<Value = IBig> {
@@ -20,17 +22,33 @@ fn floats() -> impl Strategy<Value = Vec3> {
 fn proof() -> impl Strategy<Value = Proof> {
     let step = prop_oneof![
         Just(Step::Unreal),
-        (any::<u32>(), any::<bool>(), prop::collection::vec(any::<u16>(), 0..5))
-            .prop_map(|(occluder, negative, cuts)| Step::Block { occluder, negative, cuts }),
-        prop::array::uniform6(integer()).prop_map(|polar| Step::Split { polar: Box::new(polar) }),
+        (
+            any::<u32>(),
+            any::<bool>(),
+            prop::collection::vec(any::<u16>(), 0..5)
+        )
+            .prop_map(|(occluder, negative, cuts)| Step::Block {
+                occluder,
+                negative,
+                cuts
+            }),
+        prop::array::uniform6(integer()).prop_map(|polar| Step::Split {
+            polar: Box::new(polar)
+        }),
         (any::<bool>(), any::<u16>(), any::<u16>()).prop_map(|(b, from, to)| Step::Divide {
             of: if b { Which::B } else { Which::A },
             from,
             to
         }),
     ];
-    let occluder = prop::collection::vec((0u32..1000, any::<bool>()).prop_map(OccluderTriangle::from), 1..6);
-    (prop::collection::vec(occluder, 0..4), prop::collection::vec(step, 0..8))
+    let occluder = prop::collection::vec(
+        (0u32..1000, any::<bool>()).prop_map(OccluderTriangle::from),
+        1..6,
+    );
+    (
+        prop::collection::vec(occluder, 0..4),
+        prop::collection::vec(step, 0..8),
+    )
         .prop_map(|(occluders, steps)| Proof { occluders, steps })
 }
 
@@ -47,9 +65,14 @@ fn hidden() -> impl Strategy<Value = Vec<HiddenGroup>> {
         prop::collection::vec(floats(), 0..5).prop_map(|c| Target::Polygon(c.into())),
     ];
     let ids = prop::collection::btree_set(0u32..1000, 1..8);
-    let one = (target, ids, prop::collection::vec(proof(), 0..4)).prop_map(|(target, ids, proofs)| {
-        HiddenGroup { target, triangles: ids.into_iter().collect(), proofs }
-    });
+    let one =
+        (target, ids, prop::collection::vec(proof(), 0..4)).prop_map(|(target, ids, proofs)| {
+            HiddenGroup {
+                target,
+                triangles: ids.into_iter().collect(),
+                proofs,
+            }
+        });
     prop::collection::vec(one, 0..5)
 }
 

@@ -37,19 +37,30 @@ pub fn encode(certificate: &CellCertificate) -> std::io::Result<Vec<u8>> {
         put(&mut out, above + APART);
         out.push(u8::from(certificate.shared.is_some()));
         if let Some(shared) = &certificate.shared {
-            shared.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
+            shared
+                .bounds
+                .corners()
+                .iter()
+                .for_each(|c| put_point(&mut out, *c));
             put_hidden(&mut out, &shared.hidden);
         }
         put(&mut out, certificate.apart.len() as u64);
         for of in &certificate.apart {
-            of.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
+            of.bounds
+                .corners()
+                .iter()
+                .for_each(|c| put_point(&mut out, *c));
             put(&mut out, of.proofs.len() as u64);
             of.proofs.iter().for_each(|p| put_proof(&mut out, p));
         }
     } else if certificate.shared.is_some() || certificate.above.is_some() {
         put(&mut out, above);
         if let Some(shared) = &certificate.shared {
-            shared.bounds.corners().iter().for_each(|c| put_point(&mut out, *c));
+            shared
+                .bounds
+                .corners()
+                .iter()
+                .for_each(|c| put_point(&mut out, *c));
             put_hidden(&mut out, &shared.hidden);
         }
     }
@@ -86,13 +97,18 @@ fn put_hidden(out: &mut Vec<u8>, hidden: &[HiddenGroup]) {
 }
 
 fn put_point(out: &mut Vec<u8>, p: Vec3) {
-    p.to_array().iter().for_each(|c| out.extend(c.to_le_bytes()));
+    p.to_array()
+        .iter()
+        .for_each(|c| out.extend(c.to_le_bytes()));
 }
 
 fn put_integer(out: &mut Vec<u8>, x: &IBig) {
     let (sign, size) = x.clone().into_parts();
     let bytes = size.to_le_bytes();
-    put(out, (bytes.len() as u64) << 1 | u64::from(sign == Sign::Negative));
+    put(
+        out,
+        (bytes.len() as u64) << 1 | u64::from(sign == Sign::Negative),
+    );
     out.extend_from_slice(&bytes);
 }
 
@@ -111,20 +127,34 @@ fn put_proof(out: &mut Vec<u8>, proof: &Proof) {
     let mut last = 0i64;
     for occluder in &proof.occluders {
         put(out, occluder.len() as u64);
-        for OccluderTriangle { triangle: id, reversed } in occluder {
+        for OccluderTriangle {
+            triangle: id,
+            reversed,
+        } in occluder
+        {
             // Difference to the previous id, its sign, and the winding: one byte for neighbouring ids.
             let d = i64::from(*id) - last;
             last = i64::from(*id);
-            put(out, (d.unsigned_abs() << 1 | u64::from(d < 0)) << 1 | u64::from(*reversed));
+            put(
+                out,
+                (d.unsigned_abs() << 1 | u64::from(d < 0)) << 1 | u64::from(*reversed),
+            );
         }
     }
     put(out, proof.steps.len() as u64);
     for step in &proof.steps {
         match step {
             Step::Unreal => out.push(0),
-            Step::Block { occluder, negative, cuts } => {
+            Step::Block {
+                occluder,
+                negative,
+                cuts,
+            } => {
                 // The low two bits are the kind: 1 or 2 for a block, by side.
-                put(out, (u64::from(*occluder) << 2) | (1 + u64::from(*negative)));
+                put(
+                    out,
+                    (u64::from(*occluder) << 2) | (1 + u64::from(*negative)),
+                );
                 put(out, cuts.len() as u64);
                 cuts.iter().for_each(|c| put(out, u64::from(*c)));
             }

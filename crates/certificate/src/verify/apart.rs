@@ -14,7 +14,11 @@ pub(super) fn check(result: &dyn BakedResult, boxes: &[Vec<Aabb>]) -> Result<u64
     let mut reached = Vec::with_capacity(boxes.len());
     for cell in 0..cells {
         let flags = result.flags(cell).map_err(|e| (cell, e))?;
-        bounds.push(result.cell_bounds(cell).ok_or_else(|| (cell, "the cell has no bounds".to_owned()))?);
+        bounds.push(
+            result
+                .cell_bounds(cell)
+                .ok_or_else(|| (cell, "the cell has no bounds".to_owned()))?,
+        );
         reached.push(flags & NOT_REACHED == 0);
     }
     let holds = |of: &Aabb, cell: u32| {
@@ -24,14 +28,19 @@ pub(super) fn check(result: &dyn BakedResult, boxes: &[Vec<Aabb>]) -> Result<u64
     let covered = |a: u32, b: u32| boxes[a as usize].iter().any(|of| holds(of, b));
     let mut apart = 0;
     for a in 0..cells {
-        let Some(seen) = result.seen_cells(a).map_err(|e| (a, e))? else { return Ok(0) };
+        let Some(seen) = result.seen_cells(a).map_err(|e| (a, e))? else {
+            return Ok(0);
+        };
         let mut seen = seen.into_iter().filter(|b| *b >= a).peekable();
         for b in a..cells {
             if seen.next_if_eq(&b).is_some() || !(reached[a as usize] || reached[b as usize]) {
                 continue;
             }
             if a == b || !(covered(a, b) || covered(b, a)) {
-                return Err((a, format!("it is said not to see cell {b}, and no proof shows that")));
+                return Err((
+                    a,
+                    format!("it is said not to see cell {b}, and no proof shows that"),
+                ));
             }
             apart += 1;
         }

@@ -15,10 +15,15 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
     }
     // A result of another program need not name its method.
     if parameters["method"].as_str().is_some_and(|m| m != method) {
-        return Err(format!("its method is {method}, and {} in its parameters", parameters["method"]));
+        return Err(format!(
+            "its method is {method}, and {} in its parameters",
+            parameters["method"]
+        ));
     }
     if let Some(grid) = parameters["division"]["grid"].as_array() {
-        let cells = grid.iter().try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
+        let cells = grid
+            .iter()
+            .try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
         if cells != Some(u64::from(result.cell_count())) {
             return Err(format!(
                 "its parameters say {} cells, and it has {}",
@@ -32,7 +37,9 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
         let flags = result.flags(cell)?;
         reached += u64::from(flags & NOT_REACHED == 0);
         if flags & !(SET_ASIDE | NOT_REACHED) != 0 {
-            return Err(format!("cell {cell} has flags {flags:#x} with an unknown bit"));
+            return Err(format!(
+                "cell {cell} has flags {flags:#x} with an unknown bit"
+            ));
         }
     }
     // Nothing is claimed about a cell that no viewpoint reaches, so the parameters have to say how many

@@ -50,7 +50,9 @@ impl BakedResult for Pvs {
 
     fn seen_cells(&self, cell: u32) -> Result<Option<Vec<u32>>, String> {
         let pairs = self.cell_pairs().map_err(message)?;
-        Ok(pairs.filter(|_| cell < self.cells()).map(|p| p.visible.partners(cell).collect()))
+        Ok(pairs
+            .filter(|_| cell < self.cells())
+            .map(|p| p.visible.partners(cell).collect()))
     }
 
     fn flags(&self, cell: u32) -> Result<u32, String> {

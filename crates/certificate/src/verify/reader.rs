@@ -29,8 +29,14 @@ impl CertificateReader {
     ///
     /// # Errors
     /// [`ReadError`] if the bytes are not valid, or the cell refers to a certificate that does not exist.
-    pub fn read(&self, result: &dyn BakedResult, cell: u32) -> Result<Option<Certificates>, ReadError> {
-        let Some(own) = own(result, cell)? else { return Ok(None) };
+    pub fn read(
+        &self,
+        result: &dyn BakedResult,
+        cell: u32,
+    ) -> Result<Option<Certificates>, ReadError> {
+        let Some(own) = own(result, cell)? else {
+            return Ok(None);
+        };
         let above = match own.above {
             None => None,
             Some(back) => {
@@ -45,18 +51,25 @@ impl CertificateReader {
 
     /// The certificate of a cell group that a cell stores. The lock is held while one thread decodes it, so
     /// that the others wait for it instead of decoding it again.
-    fn group(&self, result: &dyn BakedResult, keeper: u32) -> Result<Arc<GroupCertificate>, ReadError> {
+    fn group(
+        &self,
+        result: &dyn BakedResult,
+        keeper: u32,
+    ) -> Result<Arc<GroupCertificate>, ReadError> {
         let mut last = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, shared)) = last.as_ref().filter(|(cell, _)| *cell == keeper) {
             return Ok(Arc::clone(shared));
         }
         let certificate = own(result, keeper)
             .map_err(|e| ReadError(format!("it relies on certificates of cell {keeper}: {e}")))?;
-        let shared = certificate.and_then(|c| c.shared).map(Arc::new).ok_or_else(|| {
-            ReadError(format!(
-                "it relies on certificates of cell {keeper}, which stores none for other cells"
-            ))
-        })?;
+        let shared = certificate
+            .and_then(|c| c.shared)
+            .map(Arc::new)
+            .ok_or_else(|| {
+                ReadError(format!(
+                    "it relies on certificates of cell {keeper}, which stores none for other cells"
+                ))
+            })?;
         *last = Some((keeper, Arc::clone(&shared)));
         Ok(shared)
     }
@@ -75,7 +88,10 @@ impl Certificates {
 
     /// All groups of triangles that are hidden from the cell.
     pub fn hidden(&self) -> impl Iterator<Item = &HiddenGroup> {
-        self.own.hidden.iter().chain(self.above().into_iter().flat_map(|shared| &shared.hidden))
+        self.own
+            .hidden
+            .iter()
+            .chain(self.above().into_iter().flat_map(|shared| &shared.hidden))
     }
 
     /// The reason given for one triangle, and the cell group's certificate if the reason is from there.
@@ -84,7 +100,9 @@ impl Certificates {
             return Some((reason, None));
         }
         let shared = self.above()?;
-        shared.about(triangle).map(|hidden| (Reason::Hidden(hidden), Some(shared)))
+        shared
+            .about(triangle)
+            .map(|hidden| (Reason::Hidden(hidden), Some(shared)))
     }
 }
 
@@ -93,8 +111,8 @@ fn own(result: &dyn BakedResult, cell: u32) -> Result<Option<CellCertificate>, R
         None => Ok(None),
         // A cell that was set aside.
         Some([]) => Ok(Some(CellCertificate::default())),
-        Some(bytes) => {
-            codec::decode(bytes, result.triangle_count()).map(Some).map_err(|e| ReadError(e.to_string()))
-        }
+        Some(bytes) => codec::decode(bytes, result.triangle_count())
+            .map(Some)
+            .map_err(|e| ReadError(e.to_string())),
     }
 }

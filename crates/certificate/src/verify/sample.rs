@@ -20,7 +20,9 @@ impl Sample {
         // A linear congruential generator (Knuth's MMIX); its upper half is the random number.
         let mut state = self.seed;
         let mut next = |below: u32| {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             // The upper half of the product of 32 random bits and the bound.
             ((u64::from((state >> 32) as u32) * u64::from(below)) >> 32) as u32
         };

@@ -30,11 +30,27 @@ pub fn triangles() -> Vec<[Vec3; 3]> {
 /// The proofs that the first wall hides a target above it: for all faces of the cell but the lower one.
 fn proofs() -> Vec<Proof> {
     let occluder = vec![
-        OccluderTriangle { triangle: 0, reversed: false },
-        OccluderTriangle { triangle: 1, reversed: false },
+        OccluderTriangle {
+            triangle: 0,
+            reversed: false,
+        },
+        OccluderTriangle {
+            triangle: 1,
+            reversed: false,
+        },
     ];
-    let steps = vec![Step::Block { occluder: 0, negative: false, cuts: Vec::new() }];
-    vec![Proof { occluders: vec![occluder], steps }; 5]
+    let steps = vec![Step::Block {
+        occluder: 0,
+        negative: false,
+        cuts: Vec::new(),
+    }];
+    vec![
+        Proof {
+            occluders: vec![occluder],
+            steps
+        };
+        5
+    ]
 }
 
 /// The two groups of triangles that the first wall hides.
@@ -42,7 +58,11 @@ pub fn hidden() -> Vec<HiddenGroup> {
     let polygon = Target::Polygon(corners(2.0).into());
     let [least, _, greatest, _] = corners(3.0);
     vec![
-        HiddenGroup { target: polygon, triangles: vec![2, 3], proofs: proofs() },
+        HiddenGroup {
+            target: polygon,
+            triangles: vec![2, 3],
+            proofs: proofs(),
+        },
         HiddenGroup {
             target: Target::Box(Aabb::new(least, greatest)),
             triangles: vec![4, 5],
@@ -53,24 +73,42 @@ pub fn hidden() -> Vec<HiddenGroup> {
 
 fn seen() -> Vec<(u32, Witness)> {
     let float = Witness::Floats([Vec3::new(0.25, 0.125, 0.25), Vec3::new(0.25, 0.125, 1.5)]);
-    let exact = Witness::Exact(Box::new([[1, 2, 2, 8], [1, 2, 8, 8]].map(|p| p.map(IBig::from))));
+    let exact = Witness::Exact(Box::new(
+        [[1, 2, 2, 8], [1, 2, 8, 8]].map(|p| p.map(IBig::from)),
+    ));
     vec![(0, float), (1, exact)]
 }
 
 /// A certificate with all its reasons of its own.
 pub fn alone() -> CellCertificate {
-    CellCertificate { seen: seen(), hidden: hidden(), ..CellCertificate::default() }
+    CellCertificate {
+        seen: seen(),
+        hidden: hidden(),
+        ..CellCertificate::default()
+    }
 }
 
 /// A certificate that shares its hidden groups with later cells.
 pub fn sharing() -> CellCertificate {
-    let shared = GroupCertificate { bounds: CELL, hidden: hidden() };
-    CellCertificate { seen: seen(), shared: Some(shared), above: Some(0), ..CellCertificate::default() }
+    let shared = GroupCertificate {
+        bounds: CELL,
+        hidden: hidden(),
+    };
+    CellCertificate {
+        seen: seen(),
+        shared: Some(shared),
+        above: Some(0),
+        ..CellCertificate::default()
+    }
 }
 
 /// A certificate that relies on the hidden groups of the cell before.
 pub fn relying() -> CellCertificate {
-    CellCertificate { seen: seen(), above: Some(1), ..CellCertificate::default() }
+    CellCertificate {
+        seen: seen(),
+        above: Some(1),
+        ..CellCertificate::default()
+    }
 }
 
 /// The bytes of a certificate without compression.

@@ -109,7 +109,11 @@ impl DoubleDouble {
     /// The magnitude.
     #[inline]
     pub fn abs(self) -> Self {
-        if self.0 < 0.0 { Self(-self.0, -self.1) } else { self }
+        if self.0 < 0.0 {
+            Self(-self.0, -self.1)
+        } else {
+            self
+        }
     }
 }
 
@@ -125,7 +129,11 @@ mod tests {
     fn exact(x: DoubleDouble) -> IBig {
         let of = |x: f64| {
             let (n, e) = dyadic(x);
-            if n == 0 { IBig::ZERO } else { IBig::from(n) << (e + 300) as usize }
+            if n == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(n) << (e + 300) as usize
+            }
         };
         of(x.0) + of(x.1)
     }

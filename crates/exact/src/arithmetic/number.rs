@@ -17,8 +17,22 @@ pub const U: f64 = f64::EPSILON / 2.0;
 /// Integers `n` and one exponent `e` with `xs[i] = n[i] · 2^e`.
 pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {
     let parts = xs.map(dyadic);
-    let least = parts.iter().filter(|p| p.0 != 0).map(|p| p.1).min().unwrap_or(0);
-    (parts.map(|(m, e)| if m == 0 { IBig::ZERO } else { IBig::from(m) << (e - least) as usize }), least)
+    let least = parts
+        .iter()
+        .filter(|p| p.0 != 0)
+        .map(|p| p.1)
+        .min()
+        .unwrap_or(0);
+    (
+        parts.map(|(m, e)| {
+            if m == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(m) << (e - least) as usize
+            }
+        }),
+        least,
+    )
 }
 
 /// The point as homogeneous integers (x, y, z, w), w a positive power of two.
@@ -34,7 +48,9 @@ pub fn homogeneous(p: [f64; 3]) -> [IBig; 4] {
 
 /// Divides by the greatest common divisor. A vector of zeros stays.
 pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
-    let Some(zeros) = v.iter().filter_map(IBig::trailing_zeros).min() else { return };
+    let Some(zeros) = v.iter().filter_map(IBig::trailing_zeros).min() else {
+        return;
+    };
     if zeros > 0 {
         v.iter_mut().for_each(|x| *x >>= zeros);
     }
@@ -64,7 +80,11 @@ pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
     let cut = longest.saturating_sub(KEPT);
     let scale = f64::powi(2.0, -((longest - cut) as i32));
     std::array::from_fn(|i| {
-        let x = if cut > 0 { (&v[i] >> cut).to_f64().value() } else { v[i].to_f64().value() };
+        let x = if cut > 0 {
+            (&v[i] >> cut).to_f64().value()
+        } else {
+            v[i].to_f64().value()
+        };
         x * scale
     })
 }
@@ -76,7 +96,12 @@ pub fn rounded_double_double<const N: usize>(v: &[IBig; N]) -> [DoubleDouble; N]
     let cut = longest.saturating_sub(KEPT);
     let scale = f64::powi(2.0, -((longest - cut) as i32));
     std::array::from_fn(|i| {
-        if cut > 0 { double_double(&(&v[i] >> cut)) } else { double_double(&v[i]) }.scaled(scale)
+        if cut > 0 {
+            double_double(&(&v[i] >> cut))
+        } else {
+            double_double(&v[i])
+        }
+        .scaled(scale)
     })
 }
 

@@ -8,7 +8,9 @@ pub struct Random(SplitMix64);
 impl Random {
     /// The generator of one stream: different pairs of a seed and a stream give unrelated numbers.
     pub fn new(seed: u64, stream: u64) -> Self {
-        Self(SplitMix64::new(SplitMix64::new(seed).bits() ^ stream.wrapping_mul(GAMMA)))
+        Self(SplitMix64::new(
+            SplitMix64::new(seed).bits() ^ stream.wrapping_mul(GAMMA),
+        ))
     }
 
     /// A number in [0, 1), a multiple of 2⁻⁵³.
@@ -24,7 +26,11 @@ mod tests {
     #[test]
     fn streams_are_as_in_every_version() {
         let mut random = Random::new(5, 7);
-        let expected = [4_418_864_944_222_949u64, 1_842_781_580_995_719, 2_757_006_518_642_704];
+        let expected = [
+            4_418_864_944_222_949u64,
+            1_842_781_580_995_719,
+            2_757_006_518_642_704,
+        ];
         for bits in expected {
             assert_eq!(random.unit(), bits as f64 / (1u64 << 53) as f64);
         }

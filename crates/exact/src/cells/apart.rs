@@ -19,10 +19,18 @@ pub fn box_from_cell(
     cost: &mut Cost,
 ) -> Option<Found> {
     let own = cell.bounds();
-    let touching = (0..3).filter(|a| of.max[*a] == own.min[*a] || of.min[*a] == own.max[*a]).count();
+    let touching = (0..3)
+        .filter(|a| of.max[*a] == own.min[*a] || of.min[*a] == own.max[*a])
+        .count();
     if own.touches(&of) && touching < 2 {
         return None;
     }
     let faces = faces_towards(of.min, of.max, cell);
-    Some(from_cell(scene, &Sources::new(cell, None), (&faces, None), (limits, stop), cost))
+    Some(from_cell(
+        scene,
+        &Sources::new(cell, None),
+        (&faces, None),
+        (limits, stop),
+        cost,
+    ))
 }

@@ -44,24 +44,42 @@ impl Work<'_> {
         match of {
             Item::Node(node) => self.task.scene.occluders().targets().bounds(node),
             Item::Triangle(id) => Aabb::around(*self.task.scene.occluders().triangle(id)),
-            Item::Face(id) => {
-                Aabb::around(self.task.scene.occluders().occluder(id).border.iter().map(|[p, _]| *p))
-            }
+            Item::Face(id) => Aabb::around(
+                self.task
+                    .scene
+                    .occluders()
+                    .occluder(id)
+                    .border
+                    .iter()
+                    .map(|[p, _]| *p),
+            ),
         }
     }
 
     /// The polygon that an occluder's triangles form, if it has few enough corners for one query.
     pub fn outline(&self, occluder: OccluderId) -> Option<Polygon> {
-        let corners: Vec<DVec3> =
-            self.task.scene.occluders().occluder(occluder).outline().iter().map(|c| c.as_dvec3()).collect();
+        let corners: Vec<DVec3> = self
+            .task
+            .scene
+            .occluders()
+            .occluder(occluder)
+            .outline()
+            .iter()
+            .map(|c| c.as_dvec3())
+            .collect();
         let mut pieces = Polygon::checked(&corners).ok()?;
-        if pieces.len() == 1 { pieces.pop() } else { None }
+        if pieces.len() == 1 {
+            pieces.pop()
+        } else {
+            None
+        }
     }
 
     /// The open triangles of an occluder, except those that a surface hides from one side.
     pub fn open_of(&self, occluder: OccluderId) -> Vec<u32> {
         let open = |id: &u32| {
-            self.state[*id as usize] == State::Open && self.hidden_half(Item::Triangle(*id)).is_none()
+            self.state[*id as usize] == State::Open
+                && self.hidden_half(Item::Triangle(*id)).is_none()
         };
         self.task
             .scene
@@ -78,7 +96,13 @@ impl Work<'_> {
     pub fn ask(&self, of: Item) -> Asked {
         let mut cost = Cost::default();
         if (self.task.stop)() {
-            return Asked { of, found: None, beside: Vec::new(), rays: 0, cost };
+            return Asked {
+                of,
+                found: None,
+                beside: Vec::new(),
+                rays: 0,
+                cost,
+            };
         }
         let targets = match of {
             Item::Node(node) => {
@@ -86,11 +110,15 @@ impl Work<'_> {
                 faces_towards(min, max, self.task.cell)
             }
             Item::Face(id) => self.outline(id).into_iter().collect(),
-            Item::Triangle(id) => {
-                Polygon::triangle(self.task.scene.occluders().triangle(id).map(|v| v.as_dvec3()))
-                    .into_iter()
-                    .collect()
-            }
+            Item::Triangle(id) => Polygon::triangle(
+                self.task
+                    .scene
+                    .occluders()
+                    .triangle(id)
+                    .map(|v| v.as_dvec3()),
+            )
+            .into_iter()
+            .collect(),
         };
         let hidden = self.hidden_half(of);
         let found = from_cell(
@@ -101,7 +129,13 @@ impl Work<'_> {
             &mut cost,
         );
         if matches!(found, Found::Undecided(Reason::Stopped)) {
-            return Asked { of, found: None, beside: Vec::new(), rays: 0, cost };
+            return Asked {
+                of,
+                found: None,
+                beside: Vec::new(),
+                rays: 0,
+                cost,
+            };
         }
         (self.task.asked)();
         let (mut beside, mut rays) = (Vec::new(), 0);
@@ -120,16 +154,31 @@ impl Work<'_> {
             let Aabb { min, max } = self.bounds(of);
             let random = Random::new(!self.task.seed, stream);
             let wide = f64::from((max - min).length());
-            (beside, rays) =
-                rays::around(self.task.scene.occluders(), &self.sources, ends, wide, &wanted, random);
+            (beside, rays) = rays::around(
+                self.task.scene.occluders(),
+                &self.sources,
+                ends,
+                wide,
+                &wanted,
+                random,
+            );
         }
-        Asked { of, found: Some(found), beside, rays, cost }
+        Asked {
+            of,
+            found: Some(found),
+            beside,
+            rays,
+            cost,
+        }
     }
 
     /// The side of its plane from which a triangle is known to be hidden.
     pub fn hidden_half(&self, of: Item) -> Option<Ordering> {
         let Item::Triangle(id) = of else { return None };
-        self.halves.binary_search_by_key(&id, |h| h.0).ok().map(|at| self.halves[at].1)
+        self.halves
+            .binary_search_by_key(&id, |h| h.0)
+            .ok()
+            .map(|at| self.halves[at].1)
     }
 
     pub fn each_below(&mut self, node: u32, mut f: impl FnMut(&mut Self, u32)) {
@@ -144,7 +193,12 @@ impl Work<'_> {
     }
 
     /// Records the answer of a query.
-    pub fn take(&mut self, Asked { of, found, cost, .. }: Asked) {
+    pub fn take(
+        &mut self,
+        Asked {
+            of, found, cost, ..
+        }: Asked,
+    ) {
         self.decided.statistics.cost += cost;
         self.decided.statistics.queries += u64::from(found.is_some());
         // Meanwhile a ray may have shown the triangle, or a box around it may have been proved hidden.
@@ -156,13 +210,19 @@ impl Work<'_> {
                 if self.task.seen.binary_search(&id).is_err() {
                     self.decided.statistics.missed += 1;
                 }
-                self.see(id, |work| witness(work.task.scene.occluders(), &work.sources, id, &ends));
+                self.see(id, |work| {
+                    witness(work.task.scene.occluders(), &work.sources, id, &ends)
+                });
             }
             (Item::Triangle(id), Some(Found::Undecided(reason))) => self.leave(id, Some(reason)),
             (Item::Triangle(id), None) => self.leave(id, None),
             (Item::Triangle(id), Some(Found::Hidden(proofs))) => {
                 let half = self.hidden_half(of).is_some();
-                self.hide(&[id], if half { Target::Half } else { Target::Triangle }, proofs);
+                self.hide(
+                    &[id],
+                    if half { Target::Half } else { Target::Triangle },
+                    proofs,
+                );
             }
             (Item::Node(node), Some(Found::Hidden(proofs))) => {
                 let mut ids = Vec::new();
@@ -173,7 +233,11 @@ impl Work<'_> {
                 });
                 ids.sort_unstable();
                 self.decided.statistics.boxes += 1;
-                self.hide(&ids, Target::Box(self.task.scene.occluders().targets().bounds(node)), proofs);
+                self.hide(
+                    &ids,
+                    Target::Box(self.task.scene.occluders().targets().bounds(node)),
+                    proofs,
+                );
             }
             (Item::Face(face), Some(Found::Hidden(proofs))) => {
                 let mut ids = self.open_of(face);

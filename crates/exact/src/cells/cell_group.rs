@@ -54,13 +54,21 @@ pub struct GroupDecided {
 /// The triangles proved hidden from the box around the cells, ascending; with the proofs, if they are kept,
 /// and the query statistics.
 pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
-    let bounds = task.cells.iter().fold(Aabb::EMPTY, |all: Aabb, cell| all.union(cell.bounds()));
+    let bounds = task
+        .cells
+        .iter()
+        .fold(Aabb::EMPTY, |all: Aabb, cell| all.union(cell.bounds()));
     let nothing = |statistics| GroupDecided {
         hidden: Vec::new(),
-        shared: GroupCertificate { bounds, hidden: Vec::new() },
+        shared: GroupCertificate {
+            bounds,
+            hidden: Vec::new(),
+        },
         statistics,
     };
-    let Some(cell) = Cell::new(bounds.min, bounds.max) else { return nothing(QueryStatistics::default()) };
+    let Some(cell) = Cell::new(bounds.min, bounds.max) else {
+        return nothing(QueryStatistics::default());
+    };
     let whole = Task {
         scene: task.scene,
         cell,
@@ -83,7 +91,11 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
     // have many cells, so all states at once would take much memory.
     let mut seen_by_any = vec![false; work.state.len()];
     let mut hidden_from = vec![0; work.state.len()];
-    let listed = task.listed.iter().map(Option::as_deref).chain(std::iter::repeat(None));
+    let listed = task
+        .listed
+        .iter()
+        .map(Option::as_deref)
+        .chain(std::iter::repeat(None));
     let pairs: Vec<_> = task.cells.iter().zip(task.seen).zip(listed).collect();
     for some in pairs.chunks(rayon::current_num_threads()) {
         if (task.stop)() {
@@ -96,10 +108,18 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         let counts = seen_by_any.par_iter_mut().zip(&mut hidden_from).enumerate();
         counts.for_each(|(id, (seen, hidden))| {
             *seen |= known.iter().any(|cell| cell[id] == State::Visible);
-            *hidden += known.iter().filter(|cell| cell[id] == State::Hidden).count();
+            *hidden += known
+                .iter()
+                .filter(|cell| cell[id] == State::Hidden)
+                .count();
         });
     }
-    for (id, state) in work.state.iter_mut().enumerate().filter(|(_, state)| **state == State::Open) {
+    for (id, state) in work
+        .state
+        .iter_mut()
+        .enumerate()
+        .filter(|(_, state)| **state == State::Open)
+    {
         if seen_by_any[id] {
             *state = State::Visible;
         } else if hidden_from[id] == task.cells.len() {
@@ -113,14 +133,27 @@ pub fn decide_group(task: &CellGroup<'_>) -> GroupDecided {
         work.state[at] == State::Hidden && before[at] == State::Open
     };
     let hidden = (0..before.len() as u32).filter(found).collect();
-    let shared = GroupCertificate { bounds, hidden: std::mem::take(&mut work.decided.certificate.hidden) };
-    GroupDecided { hidden, shared, statistics: work.decided.statistics }
+    let shared = GroupCertificate {
+        bounds,
+        hidden: std::mem::take(&mut work.decided.certificate.hidden),
+    };
+    GroupDecided {
+        hidden,
+        shared,
+        statistics: work.decided.statistics,
+    }
 }
 
 /// The states of the triangles for one of the cells before any query; triangles that sampling has shown count
 /// as visible.
 fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32], listed: Option<&[u32]>) -> Vec<State> {
-    let own = Task { cell, seen, listed, keep: false, ..*whole };
+    let own = Task {
+        cell,
+        seen,
+        listed,
+        keep: false,
+        ..*whole
+    };
     let mut work = Work::new(&own);
     work.meeting();
     work.keep_to_listed();

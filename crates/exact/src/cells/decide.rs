@@ -39,19 +39,32 @@ impl Work<'_> {
     /// Finds witnesses for the triangles that sampling has shown: by rays, then by queries.
     fn show(&mut self) {
         let task = self.task;
-        let open =
-            |id: &u32| self.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
+        let open = |id: &u32| {
+            self.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id)
+        };
         let wanted: Vec<u32> = task.seen.iter().copied().filter(open).collect();
         let wanted = (&wanted[..], rays::TRIES);
-        let (found, rays) =
-            rays::witnesses(task.scene.occluders(), &self.sources, wanted, task.seed, task.stop);
+        let (found, rays) = rays::witnesses(
+            task.scene.occluders(),
+            &self.sources,
+            wanted,
+            task.seed,
+            task.stop,
+        );
         let (wanted, _) = wanted;
         self.decided.statistics.rays = rays;
-        let left: Vec<u32> = wanted.iter().copied().filter(|id| !found.contains_key(id)).collect();
+        let left: Vec<u32> = wanted
+            .iter()
+            .copied()
+            .filter(|id| !found.contains_key(id))
+            .collect();
         for (id, ends) in found {
             self.see(id, |_| Witness::Floats(ends));
         }
-        let asked: Vec<Asked> = left.par_iter().map(|id| self.ask(Item::Triangle(*id))).collect();
+        let asked: Vec<Asked> = left
+            .par_iter()
+            .map(|id| self.ask(Item::Triangle(*id)))
+            .collect();
         for mut answer in asked {
             self.show_beside(&mut answer);
             if let (Item::Triangle(_), Some(Found::Hidden(_))) = (answer.of, &answer.found) {

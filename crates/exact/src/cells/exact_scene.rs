@@ -23,7 +23,10 @@ impl ExactScene {
     pub fn prepare(scene: &Scene) -> Result<Self, SceneError> {
         let occluders = Occluders::new(scene)?;
         let surfaces = Surfaces::new(&occluders);
-        Ok(Self { occluders, surfaces })
+        Ok(Self {
+            occluders,
+            surfaces,
+        })
     }
 
     /// The occluders.

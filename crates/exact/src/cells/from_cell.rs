@@ -49,7 +49,11 @@ pub fn from_cell(
         // Lines that leave through this face reach only targets beyond its plane.
         let beyond: Vec<Polygon> = targets
             .iter()
-            .filter(|t| t.rounded().iter().any(|p| if up { p[axis] > at } else { p[axis] < at }))
+            .filter(|t| {
+                t.rounded()
+                    .iter()
+                    .any(|p| if up { p[axis] > at } else { p[axis] < at })
+            })
             .cloned()
             .collect();
         let face = Polygon::face_of(bounds, axis, up);
@@ -62,7 +66,9 @@ pub fn from_cell(
                     parts.iter().filter_map(beyond).collect()
                 }
             };
-            let Some(outer) = outer_part(&target, &face, axis, up, at) else { continue };
+            let Some(outer) = outer_part(&target, &face, axis, up, at) else {
+                continue;
+            };
             // A face wholly on the hidden side gets an empty proof, so that the proofs keep their order.
             let (verdict, took) = sightlines_until(scene, (&from, &[outer]), limits, stop);
             *cost += took;

@@ -72,9 +72,14 @@ impl Work<'_> {
                         }
                     }
                     Below::Items(items) => {
-                        for id in items.iter().filter(|t| self.state[**t as usize] == State::Open) {
+                        for id in items
+                            .iter()
+                            .filter(|t| self.state[**t as usize] == State::Open)
+                        {
                             let face = match self.task.scene.occluders().of(*id) {
-                                Some(face) if self.hidden_half(Item::Triangle(*id)).is_none() => face,
+                                Some(face) if self.hidden_half(Item::Triangle(*id)).is_none() => {
+                                    face
+                                }
                                 _ => {
                                     doubts.push(self.doubt(Item::Triangle(*id)));
                                     continue;
@@ -104,8 +109,11 @@ impl Work<'_> {
                     Item::Triangle(id) if self.state[id as usize] != State::Open => {}
                     Item::Node(node) if below.of_node(node).visible => expand.push(node),
                     Item::Face(face) if !self.worth_asking(face) => {
-                        doubts
-                            .extend(self.open_of(face).into_iter().map(|id| self.doubt(Item::Triangle(id))));
+                        doubts.extend(
+                            self.open_of(face)
+                                .into_iter()
+                                .map(|id| self.doubt(Item::Triangle(id))),
+                        );
                     }
                     of => batch.push(of),
                 }
@@ -113,7 +121,11 @@ impl Work<'_> {
             if batch.is_empty() && expand.is_empty() {
                 break;
             }
-            let answers: Vec<Asked> = batch.par_iter().with_max_len(1).map(|item| self.ask(*item)).collect();
+            let answers: Vec<Asked> = batch
+                .par_iter()
+                .with_max_len(1)
+                .map(|item| self.ask(*item))
+                .collect();
             for mut answer in answers {
                 for id in self.show_beside(&mut answer) {
                     below.show(id);
@@ -136,7 +148,9 @@ impl Work<'_> {
                             }
                         }
                     }
-                    Item::Triangle(id) if matches!(answer.found, Some(Found::Visible(_))) => below.show(id),
+                    Item::Triangle(id) if matches!(answer.found, Some(Found::Visible(_))) => {
+                        below.show(id)
+                    }
                     _ => {}
                 }
                 self.take(answer);
@@ -146,7 +160,10 @@ impl Work<'_> {
 
     fn doubt(&self, of: Item) -> Doubt {
         let Aabb { min, max } = self.bounds(of);
-        Doubt { size: self.task.cell.size_of(min, max), of }
+        Doubt {
+            size: self.task.cell.size_of(min, max),
+            of,
+        }
     }
 
     /// Whether to query an occluder's polygon as a whole: all its triangles may be hidden, and more than one

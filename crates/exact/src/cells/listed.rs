@@ -20,10 +20,17 @@ pub fn decide_listed(task: &Task<'_>) -> Decided {
     work.meeting();
     work.keep_to_listed();
     work.enclose();
-    let open = |id: &u32| work.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
+    let open =
+        |id: &u32| work.state[*id as usize] == State::Open && task.scene.occluders().is_target(*id);
     let wanted: Vec<u32> = listed.iter().copied().filter(open).collect();
     let tried = (&wanted[..], TRIES);
-    let (found, rays) = rays::witnesses(task.scene.occluders(), &work.sources, tried, task.seed, task.stop);
+    let (found, rays) = rays::witnesses(
+        task.scene.occluders(),
+        &work.sources,
+        tried,
+        task.seed,
+        task.stop,
+    );
     work.decided.statistics.rays = rays;
     for (id, ends) in found {
         work.see(id, |_| Witness::Floats(ends));

@@ -42,15 +42,23 @@ pub fn around(
     let mut spread = 0.0;
     for _ in 0..AROUND {
         let mut off = || DVec3::new(random.unit(), random.unit(), random.unit()) * 2.0 - 1.0;
-        let near = (p + off() * (max - min).as_dvec3() * spread).as_vec3().clamp(min, max);
+        let near = (p + off() * (max - min).as_dvec3() * spread)
+            .as_vec3()
+            .clamp(min, max);
         let origin = near.as_dvec3();
         let to = q + off() * wide * spread;
         // The segment itself comes first.
-        spread = if spread == 0.0 { SPREAD[0] } else { spread * SPREAD[1] };
+        spread = if spread == 0.0 {
+            SPREAD[0]
+        } else {
+            spread * SPREAD[1]
+        };
         if !sources.holds(near) {
             continue;
         }
-        let Some((met, at)) = first(scene, origin, to - origin) else { continue };
+        let Some((met, at)) = first(scene, origin, to - origin) else {
+            continue;
+        };
         if !wanted(met) || found.iter().any(|f| f.0 == met) {
             continue;
         }
@@ -95,15 +103,20 @@ pub fn witnesses(
             if found.contains_key(id) {
                 break;
             }
-            let Some(p) = sources.viewpoint(&mut random) else { continue };
+            let Some(p) = sources.viewpoint(&mut random) else {
+                continue;
+            };
             // Uniform over the triangle.
             let (s, t) = (random.unit().sqrt(), random.unit());
             let to = a * (1.0 - s) + b * (s * (1.0 - t)) + c * (s * t);
             let origin = p.as_dvec3();
             cast += 1;
             // A triangle that does not block is met where the segment was aimed.
-            let met =
-                if scene.of(*id).is_some() { first(scene, origin, to - origin) } else { Some((*id, 1.0)) };
+            let met = if scene.of(*id).is_some() {
+                first(scene, origin, to - origin)
+            } else {
+                Some((*id, 1.0))
+            };
             let Some((met, at)) = met else { continue };
             if found.contains_key(&met) || wanted.binary_search(&met).is_err() {
                 continue;

@@ -42,7 +42,11 @@ impl<'a> Sources<'a> {
             }
         });
         let faces = std::array::from_fn(|_| all.next().unwrap_or_default());
-        Self { cell, places, faces }
+        Self {
+            cell,
+            places,
+            faces,
+        }
     }
 
     /// The cell.
@@ -62,7 +66,8 @@ impl<'a> Sources<'a> {
 
     /// Whether a triangle that meets the cell meets it where viewpoints are.
     pub fn is_met_by(&self, triangle: [Vec3; 3]) -> bool {
-        self.places.is_none_or(|places| places.touch(triangle, self.cell.bounds()))
+        self.places
+            .is_none_or(|places| places.touch(triangle, self.cell.bounds()))
     }
 
     /// A random viewpoint: anywhere in the cell, or on a part of its faces. `None` when there is none, or
@@ -76,7 +81,12 @@ impl<'a> Sources<'a> {
         }
         let parts: usize = self.faces.iter().map(Vec::len).sum();
         let number = (random.unit() * parts as f64) as usize;
-        let corners = self.faces.iter().flatten().nth(number.min(parts.checked_sub(1)?))?.rounded();
+        let corners = self
+            .faces
+            .iter()
+            .flatten()
+            .nth(number.min(parts.checked_sub(1)?))?
+            .rounded();
         // A triangle of the part's fan, and a point of it.
         let fan = (random.unit() * (corners.len() - 2) as f64) as usize;
         let [a, b, c] = [0, fan + 1, fan + 2].map(|i| corners[i.min(corners.len() - 1)]);

@@ -35,11 +35,21 @@ impl<'a> Work<'a> {
         let scene = task.scene.occluders();
         let first = |id: u32| {
             // A blocking triangle that cannot be in a set counts as hidden, without a proof.
-            if scene.of(id).is_some() && !scene.is_target(id) { State::Hidden } else { State::Open }
+            if scene.of(id).is_some() && !scene.is_target(id) {
+                State::Hidden
+            } else {
+                State::Open
+            }
         };
         let state = (0..scene.len() as u32).map(first).collect();
         let sources = Sources::new(task.cell, task.places);
-        Self { task, sources, state, halves: Vec::new(), decided: Decided::default() }
+        Self {
+            task,
+            sources,
+            state,
+            halves: Vec::new(),
+            decided: Decided::default(),
+        }
     }
 }
 
@@ -48,26 +58,35 @@ impl Work<'_> {
     pub fn take_over(&mut self) {
         let task = self.task;
         for id in task.above {
-            debug_assert!(self.state[*id as usize] == State::Open, "triangle {id} meets the cell");
+            debug_assert!(
+                self.state[*id as usize] == State::Open,
+                "triangle {id} meets the cell"
+            );
             self.state[*id as usize] = State::Hidden;
         }
         let statistics = &mut self.decided.statistics;
         statistics.above = task.above.len() as u64;
         statistics.hidden += statistics.above;
-        statistics.refuted +=
-            task.above.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+        statistics.refuted += task
+            .above
+            .iter()
+            .filter(|id| task.seen.binary_search(id).is_ok())
+            .count() as u64;
     }
 
     /// Marks the triangles hidden that the task does not list.
     pub fn keep_to_listed(&mut self) {
-        let Some(listed) = self.task.listed else { return };
+        let Some(listed) = self.task.listed else {
+            return;
+        };
         let scene = self.task.scene.occluders();
         for (id, state) in self.state.iter_mut().enumerate() {
             let id = id as u32;
             if *state == State::Open && scene.is_target(id) && listed.binary_search(&id).is_err() {
                 *state = State::Hidden;
                 self.decided.statistics.hidden += 1;
-                self.decided.statistics.refuted += u64::from(self.task.seen.binary_search(&id).is_ok());
+                self.decided.statistics.refuted +=
+                    u64::from(self.task.seen.binary_search(&id).is_ok());
             }
         }
     }
@@ -75,7 +94,10 @@ impl Work<'_> {
     /// Marks the triangles that meet the cell where viewpoints are, I(C).
     pub fn meeting(&mut self) {
         for id in self.meeting_in(self.task.scene.occluders().targets()) {
-            if self.sources.is_met_by(*self.task.scene.occluders().triangle(id)) {
+            if self
+                .sources
+                .is_met_by(*self.task.scene.occluders().triangle(id))
+            {
                 self.state[id as usize] = State::Visible;
             }
         }
@@ -94,7 +116,9 @@ impl Work<'_> {
                 Below::Nodes(children) => open.extend(children),
                 Below::Items(items) => {
                     for id in items {
-                        let triangle = Triangle { v: *self.task.scene.occluders().triangle(*id) };
+                        let triangle = Triangle {
+                            v: *self.task.scene.occluders().triangle(*id),
+                        };
                         if overlap::triangle_touches_box(&triangle, &bounds) {
                             meeting.push(*id);
                         }
@@ -111,7 +135,10 @@ impl Work<'_> {
         let all = 0..self.state.len() as u32;
         // Surfaces consist of all blocking triangles, those that cannot be in a set included.
         let meeting = self.meeting_in(task.scene.occluders().hierarchy());
-        let from = task.scene.surfaces().seen_from(task.scene.occluders(), task.cell, &meeting);
+        let from = task
+            .scene
+            .surfaces()
+            .seen_from(task.scene.occluders(), task.cell, &meeting);
         let open = |id: &u32| self.state[*id as usize] == State::Open;
         let hidden: Vec<(u32, Hides)> = all
             .into_par_iter()
@@ -119,14 +146,26 @@ impl Work<'_> {
             .map(|id| (id, from.hides(id)))
             .filter(|h| h.1 != Hides::Nothing)
             .collect();
-        let ids: Vec<u32> = hidden.iter().filter(|h| h.1 == Hides::All).map(|h| h.0).collect();
+        let ids: Vec<u32> = hidden
+            .iter()
+            .filter(|h| h.1 == Hides::All)
+            .map(|h| h.0)
+            .collect();
         self.halves = hidden
             .into_iter()
-            .filter_map(|(id, h)| if let Hides::From(side) = h { Some((id, side)) } else { None })
+            .filter_map(|(id, h)| {
+                if let Hides::From(side) = h {
+                    Some((id, side))
+                } else {
+                    None
+                }
+            })
             .collect();
         self.decided.statistics.enclosed = ids.len() as u64;
-        self.decided.statistics.refuted +=
-            ids.iter().filter(|id| task.seen.binary_search(id).is_ok()).count() as u64;
+        self.decided.statistics.refuted += ids
+            .iter()
+            .filter(|id| task.seen.binary_search(id).is_ok())
+            .count() as u64;
         if !ids.is_empty() {
             self.hide(&ids, Target::Surfaces, Vec::new());
         }
@@ -141,10 +180,15 @@ impl Work<'_> {
     }
 
     pub fn hide(&mut self, ids: &[u32], target: Target, proofs: Vec<Proof>) {
-        ids.iter().for_each(|id| self.state[*id as usize] = State::Hidden);
+        ids.iter()
+            .for_each(|id| self.state[*id as usize] = State::Hidden);
         self.decided.statistics.hidden += ids.len() as u64;
         if self.task.keep && !ids.is_empty() {
-            self.decided.certificate.hidden.push(HiddenGroup { target, triangles: ids.to_vec(), proofs });
+            self.decided.certificate.hidden.push(HiddenGroup {
+                target,
+                triangles: ids.to_vec(),
+                proofs,
+            });
         }
     }
 

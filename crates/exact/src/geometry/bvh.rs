@@ -46,10 +46,18 @@ impl Bvh {
     /// Builds a hierarchy over the boxes of the items in `order`.
     pub fn new(boxes: Vec<Aabb>, mut order: Vec<u32>) -> Self {
         let mut nodes = Vec::with_capacity(order.len() / 2 + 1);
-        let bounds =
-            |items: &[u32]| items.iter().fold(Aabb::EMPTY, |all: Aabb, i| all.union(boxes[*i as usize]));
+        let bounds = |items: &[u32]| {
+            items
+                .iter()
+                .fold(Aabb::EMPTY, |all: Aabb, i| all.union(boxes[*i as usize]))
+        };
         let Aabb { min, max } = bounds(&order);
-        nodes.push(Node { min, max, first: 0, count: order.len() as u32 });
+        nodes.push(Node {
+            min,
+            max,
+            first: 0,
+            count: order.len() as u32,
+        });
         let mut open = vec![(0usize, 0u32)];
         while let Some((n, depth)) = open.pop() {
             let (first, count) = (nodes[n].first as usize, nodes[n].count as usize);
@@ -61,12 +69,21 @@ impl Bvh {
             let at = nodes.len() as u32;
             for (start, part) in [(first, &items[..half]), (first + half, &items[half..])] {
                 let Aabb { min, max } = bounds(part);
-                nodes.push(Node { min, max, first: start as u32, count: part.len() as u32 });
+                nodes.push(Node {
+                    min,
+                    max,
+                    first: start as u32,
+                    count: part.len() as u32,
+                });
             }
             (nodes[n].first, nodes[n].count) = (at, 0);
             open.extend([(at as usize, depth + 1), (at as usize + 1, depth + 1)]);
         }
-        Self { nodes, order, boxes }
+        Self {
+            nodes,
+            order,
+            boxes,
+        }
     }
 
     /// Number of nodes; the root is 0, and children come after their parents.
@@ -82,7 +99,10 @@ impl Bvh {
     /// A node's box.
     pub fn bounds(&self, node: u32) -> Aabb {
         let n = &self.nodes[node as usize];
-        Aabb { min: n.min, max: n.max }
+        Aabb {
+            min: n.min,
+            max: n.max,
+        }
     }
 
     /// A node's children, or the items of a leaf.
@@ -156,7 +176,10 @@ impl Bvh {
     pub fn nearest(&self, origin: DVec3, direction: DVec3, mut hit: impl FnMut(u32, f64) -> f64) {
         let inverse = direction.recip();
         let enter = |n: &Node| {
-            let (x, y) = ((n.min.as_dvec3() - origin) * inverse, (n.max.as_dvec3() - origin) * inverse);
+            let (x, y) = (
+                (n.min.as_dvec3() - origin) * inverse,
+                (n.max.as_dvec3() - origin) * inverse,
+            );
             let (near, far) = (x.min(y).max_element().max(0.0), x.max(y).min_element());
             if near <= far { near } else { f64::INFINITY }
         };
@@ -176,7 +199,8 @@ impl Bvh {
                 }
                 continue;
             }
-            let [mut a, mut b] = [node.first, node.first + 1].map(|c| (c, enter(&self.nodes[c as usize])));
+            let [mut a, mut b] =
+                [node.first, node.first + 1].map(|c| (c, enter(&self.nodes[c as usize])));
             if a.1 < b.1 {
                 std::mem::swap(&mut a, &mut b);
             }
@@ -200,12 +224,18 @@ fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     };
     let (lo, hi) = items
         .iter()
-        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), i| (lo.min(centre(*i)), hi.max(centre(*i))));
+        .fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(lo, hi), i| {
+            (lo.min(centre(*i)), hi.max(centre(*i)))
+        });
     let extent = hi - lo;
-    let axis = (0..3).max_by(|a, b| extent[*a].total_cmp(&extent[*b])).unwrap_or(0);
+    let axis = (0..3)
+        .max_by(|a, b| extent[*a].total_cmp(&extent[*b]))
+        .unwrap_or(0);
     let middle = items.len() / 2;
     let by_centre = |a: &u32, b: &u32| centre(*a)[axis].total_cmp(&centre(*b)[axis]).then(a.cmp(b));
-    let bin = |i: u32| (((centre(i)[axis] - lo[axis]) / extent[axis] * BINS as f32) as usize).min(BINS - 1);
+    let bin = |i: u32| {
+        (((centre(i)[axis] - lo[axis]) / extent[axis] * BINS as f32) as usize).min(BINS - 1)
+    };
     if !(cheapest && extent[axis] > 0.0 && extent[axis].is_finite()) {
         items.select_nth_unstable_by(middle, by_centre);
         return middle;
@@ -223,7 +253,8 @@ fn split(boxes: &[Aabb], items: &mut [u32], cheapest: bool) -> usize {
     let mut best: Option<(f64, usize)> = None;
     for k in 1..BINS {
         let side = |part: &[(Aabb, usize)]| {
-            part.iter().fold((Aabb::EMPTY, 0), |(b, n), (c, m)| (b.union(*c), n + m))
+            part.iter()
+                .fold((Aabb::EMPTY, 0), |(b, n), (c, m)| (b.union(*c), n + m))
         };
         let ((a, n), (b, m)) = (side(&bins[..k]), side(&bins[k..]));
         if n == 0 || m == 0 {
@@ -270,7 +301,13 @@ impl Segment {
     fn new(p: DVec3, q: DVec3, slack: f64) -> Self {
         let (middle, half) = ((p + q) * 0.5, (q - p) * 0.5);
         let size = half.abs();
-        Self { middle, half, size, slack, turn: size.max_element() }
+        Self {
+            middle,
+            half,
+            size,
+            slack,
+            turn: size.max_element(),
+        }
     }
 
     fn touches(&self, min: Vec3, max: Vec3) -> bool {
@@ -305,12 +342,20 @@ mod tests {
         let boxes: Vec<Aabb> = (0..20_000)
             .map(|i| {
                 let x = i as f32 * 1e-25;
-                Aabb { min: Vec3::new(x, 0.0, 0.0), max: Vec3::new(x, 1.0, 1.0) }
+                Aabb {
+                    min: Vec3::new(x, 0.0, 0.0),
+                    max: Vec3::new(x, 1.0, 1.0),
+                }
             })
             .collect();
         let tree = Bvh::new(boxes.clone(), (0..boxes.len() as u32).collect());
         let mut found = Vec::new();
-        tree.along(DVec3::new(-1.0, 0.5, 0.5), DVec3::new(1.0, 0.5, 0.5), 0.0, &mut found);
+        tree.along(
+            DVec3::new(-1.0, 0.5, 0.5),
+            DVec3::new(1.0, 0.5, 0.5),
+            0.0,
+            &mut found,
+        );
         assert_eq!(found.len(), boxes.len());
         found.clear();
         tree.in_box(Vec3::ZERO, Vec3::ONE, &mut found);

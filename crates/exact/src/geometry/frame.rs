@@ -60,7 +60,12 @@ impl Frame {
     pub fn world() -> Self {
         let one = STEPS as i32;
         let rows = [[one, 0, 0], [0, one, 0], [0, 0, one]];
-        Self { origin: DVec3::ZERO, rows, shift: [0; 3], scale: [1.0 / STEPS; 3] }
+        Self {
+            origin: DVec3::ZERO,
+            rows,
+            shift: [0; 3],
+            scale: [1.0 / STEPS; 3],
+        }
     }
 
     /// A frame for the points `a` and `b`, neither of which is empty.
@@ -68,11 +73,23 @@ impl Frame {
         let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len() as f64;
         let (ca, cb) = (middle(a), middle(b));
         let origin = ((ca + cb) * 0.5).as_vec3().as_dvec3();
-        let origin = if origin.is_finite() { origin } else { DVec3::ZERO };
+        let origin = if origin.is_finite() {
+            origin
+        } else {
+            DVec3::ZERO
+        };
         let all = || a.iter().chain(b).map(|p| *p - origin);
-        let widest =
-            all().fold(DVec3::ZERO, |m, d| if d.length_squared() > m.length_squared() { d } else { m });
-        let z = [cb - ca, widest, DVec3::Z].into_iter().find_map(DVec3::try_normalize).unwrap_or(DVec3::Z);
+        let widest = all().fold(DVec3::ZERO, |m, d| {
+            if d.length_squared() > m.length_squared() {
+                d
+            } else {
+                m
+            }
+        });
+        let z = [cb - ca, widest, DVec3::Z]
+            .into_iter()
+            .find_map(DVec3::try_normalize)
+            .unwrap_or(DVec3::Z);
         // Across the axis, the direction in which the two spread most.
         let (u, v) = z.any_orthonormal_pair();
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
@@ -84,7 +101,10 @@ impl Frame {
         let (c, t) = (xx - yy, 2.0 * xy);
         let h = (c * c + t * t).sqrt();
         let (cos, sin) = if h > 0.0 {
-            (((1.0 + c / h) * 0.5).max(0.0).sqrt(), ((1.0 - c / h) * 0.5).max(0.0).sqrt())
+            (
+                ((1.0 + c / h) * 0.5).max(0.0).sqrt(),
+                ((1.0 - c / h) * 0.5).max(0.0).sqrt(),
+            )
         } else {
             (1.0, 0.0)
         };
@@ -99,12 +119,21 @@ impl Frame {
         let shift = std::array::from_fn(|i| {
             let r = DVec3::from(rows[i].map(f64::from)) / STEPS;
             let extent = all().fold(0.0f64, |m, d| m.max(d.dot(r).abs()));
-            if extent > 0.0 && extent.is_finite() { -above(extent).clamp(-500, 500) } else { 0 }
+            if extent > 0.0 && extent.is_finite() {
+                -above(extent).clamp(-500, 500)
+            } else {
+                0
+            }
         });
         // Bounds the scale of a pair that is flat across its axis.
         let least = shift.iter().copied().min().unwrap_or(0);
         let shift = shift.map(|s: i32| s.min(least + 24));
-        Self { origin, rows, shift, scale: shift.map(|s| f64::powi(2.0, s - 6)) }
+        Self {
+            origin,
+            rows,
+            shift,
+            scale: shift.map(|s| f64::powi(2.0, s - 6)),
+        }
     }
 
     /// A point given in doubles.
@@ -112,17 +141,20 @@ impl Frame {
     /// A difference is exact as a double-double. Three products and two sums are off by a step each of at
     /// most Σ |row · (p − origin)|.
     pub fn given(&self, p: DVec3) -> Point {
-        let d: [DoubleDouble; 3] = std::array::from_fn(|j| DoubleDouble::difference(p[j], self.origin[j]));
+        let d: [DoubleDouble; 3] =
+            std::array::from_fn(|j| DoubleDouble::difference(p[j], self.origin[j]));
         let mut fine_error = 0.0f64;
         let fine: [DoubleDouble; 3] = std::array::from_fn(|i| {
             let scale = self.scale[i];
             let t: [DoubleDouble; 3] =
                 std::array::from_fn(|j| d[j].times(DoubleDouble(f64::from(self.rows[i][j]), 0.0)));
-            fine_error = fine_error.max(8.0 * STEP * scale * t.iter().map(|t| t.0.abs()).sum::<f64>());
+            fine_error =
+                fine_error.max(8.0 * STEP * scale * t.iter().map(|t| t.0.abs()).sum::<f64>());
             t[0].plus(t[1]).plus(t[2]).scaled(scale)
         });
         // The second double of each coordinate counts as error, too.
-        let error = (fine.iter().fold(0.0f64, |m, c| m.max(c.1.abs())) + fine_error) * (1.0 + 4.0 * U);
+        let error =
+            (fine.iter().fold(0.0f64, |m, c| m.max(c.1.abs())) + fine_error) * (1.0 + 4.0 * U);
         Point {
             at: fine.map(|c| c.0),
             error,
@@ -144,7 +176,8 @@ impl Frame {
     pub fn exact(&self, p: [IBig; 4]) -> Point {
         let mut local = self.map(&p);
         primitive(&mut local);
-        let fine: [DoubleDouble; 3] = std::array::from_fn(|i| ratio_double_double(&local[i], &local[3]));
+        let fine: [DoubleDouble; 3] =
+            std::array::from_fn(|i| ratio_double_double(&local[i], &local[3]));
         let at = fine.map(|c| c.0);
         let greatest = at.iter().fold(0.0f64, |m, c| m.max(c.abs()));
         Point {
@@ -201,7 +234,9 @@ impl Frame {
     fn matrix(&self) -> ([[IBig; 3]; 3], (usize, usize)) {
         let least = self.shift.iter().copied().min().unwrap_or(0) - 6;
         let n = std::array::from_fn(|i| {
-            std::array::from_fn(|j| IBig::from(self.rows[i][j]) << (self.shift[i] - 6 - least) as usize)
+            std::array::from_fn(|j| {
+                IBig::from(self.rows[i][j]) << (self.shift[i] - 6 - least) as usize
+            })
         });
         (n, ((-least).max(0) as usize, least.max(0) as usize))
     }
@@ -221,7 +256,12 @@ impl Frame {
         if least < 0 {
             [x, y, z, w << (-least) as usize]
         } else {
-            [x << least as usize, y << least as usize, z << least as usize, w]
+            [
+                x << least as usize,
+                y << least as usize,
+                z << least as usize,
+                w,
+            ]
         }
     }
 }
@@ -263,7 +303,10 @@ fn above(x: f64) -> i32 {
 fn determinant(m: &[[i32; 3]; 3]) -> i64 {
     let m = m.map(|r| r.map(i64::from));
     (0..3)
-        .map(|i| m[0][i] * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3]))
+        .map(|i| {
+            m[0][i]
+                * (m[1][(i + 1) % 3] * m[2][(i + 2) % 3] - m[1][(i + 2) % 3] * m[2][(i + 1) % 3])
+        })
         .sum()
 }
 
@@ -301,7 +344,10 @@ mod tests {
     fn powers_of_two_are_their_own_least() {
         for k in -300..300 {
             let x = f64::powi(2.0, k);
-            assert_eq!([above(x), above(x * 1.5), above(x * (1.0 + f64::EPSILON))], [k, k + 1, k + 1]);
+            assert_eq!(
+                [above(x), above(x * 1.5), above(x * (1.0 + f64::EPSILON))],
+                [k, k + 1, k + 1]
+            );
         }
     }
 

@@ -40,13 +40,17 @@ pub enum PolygonError {
     #[error("a coordinate is not finite or beyond ±1e60; scale the query")]
     NotFinite,
     /// So small that products of coordinates vanish.
-    #[error("it is less than 1e-60 across, or a coordinate is less than 1e-100 and not 0; scale the query")]
+    #[error(
+        "it is less than 1e-60 across, or a coordinate is less than 1e-100 and not 0; scale the query"
+    )]
     TooSmall,
     /// Vertices far from one plane.
     #[error("its corners are not in one plane; split it into triangles")]
     NotFlat,
     /// A reflex vertex, or a boundary that goes round more than once.
-    #[error("it is not convex (or its corners are not in order around it); split it into triangles")]
+    #[error(
+        "it is not convex (or its corners are not in order around it); split it into triangles"
+    )]
     NotConvex,
 }
 
@@ -60,17 +64,27 @@ impl Polygon {
     /// # Errors
     /// [`PolygonError`], by kind.
     pub fn checked(corners: &[DVec3]) -> Result<Vec<Self>, PolygonError> {
-        if corners.iter().any(|p| !p.is_finite() || p.abs().max_element() > 1e60) {
+        if corners
+            .iter()
+            .any(|p| !p.is_finite() || p.abs().max_element() > 1e60)
+        {
             return Err(PolygonError::NotFinite);
         }
         if corners.len() > MOST_VERTICES {
             return Err(PolygonError::TooMany);
         }
         let vanishing = |c: f64| c != 0.0 && c.abs() < 1e-100;
-        if corners.iter().any(|p| p.to_array().into_iter().any(vanishing)) {
+        if corners
+            .iter()
+            .any(|p| p.to_array().into_iter().any(vanishing))
+        {
             return Err(PolygonError::TooSmall);
         }
-        if corners.len() > 1 && corners.iter().all(|p| (*p - corners[0]).abs().max_element() < 1e-60) {
+        if corners.len() > 1
+            && corners
+                .iter()
+                .all(|p| (*p - corners[0]).abs().max_element() < 1e-60)
+        {
             return Err(PolygonError::TooSmall);
         }
         let mut distinct: Vec<DVec3> = Vec::new();
@@ -92,11 +106,16 @@ impl Polygon {
         if points.len() == 3 {
             return Ok(vec![Self { points }]);
         }
-        let flat =
-            points[3..].iter().all(|p| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal);
+        let flat = points[3..]
+            .iter()
+            .all(|p| orient([&points[0], &points[1], &points[2], p]) == Ordering::Equal);
         if flat {
             let one = Self { points };
-            return if one.convex() { Ok(one.pieces()) } else { Err(PolygonError::NotConvex) };
+            return if one.convex() {
+                Ok(one.pieces())
+            } else {
+                Err(PolygonError::NotConvex)
+            };
         }
         fan(&points)
     }
@@ -111,11 +130,17 @@ impl Polygon {
             return Err(PolygonError::TooMany);
         }
         let near: Vec<DVec3> = corners.iter().map(rounded).collect();
-        if near.iter().any(|p| !p.is_finite() || p.abs().max_element() > 1e60) {
+        if near
+            .iter()
+            .any(|p| !p.is_finite() || p.abs().max_element() > 1e60)
+        {
             return Err(PolygonError::NotFinite);
         }
         let vanishing = |c: f64| c != 0.0 && c.abs() < 1e-100;
-        let is_dot = near.len() > 1 && near.iter().all(|p| (*p - near[0]).abs().max_element() < 1e-60);
+        let is_dot = near.len() > 1
+            && near
+                .iter()
+                .all(|p| (*p - near[0]).abs().max_element() < 1e-60);
         if is_dot || near.iter().any(|p| p.to_array().into_iter().any(vanishing)) {
             return Err(PolygonError::TooSmall);
         }
@@ -141,7 +166,11 @@ impl Polygon {
             return Err(PolygonError::NotFlat);
         }
         let one = Self { points };
-        if one.points.len() == 3 || one.convex() { Ok(one) } else { Err(PolygonError::NotConvex) }
+        if one.points.len() == 3 || one.convex() {
+            Ok(one)
+        } else {
+            Err(PolygonError::NotConvex)
+        }
     }
 
     /// A triangle with area.
@@ -151,7 +180,9 @@ impl Polygon {
 
     /// A rectangle along two axes, which is flat by construction and must have an area.
     pub fn rectangle(corners: [DVec3; 4]) -> Self {
-        Self { points: corners.map(Source::Given).into() }
+        Self {
+            points: corners.map(Source::Given).into(),
+        }
     }
 
     /// The six faces of a box with a volume.
@@ -170,7 +201,12 @@ impl Polygon {
             p[v] = if t { hi[v] } else { lo[v] };
             p
         };
-        Self::rectangle([corner(false, false), corner(true, false), corner(true, true), corner(false, true)])
+        Self::rectangle([
+            corner(false, false),
+            corner(true, false),
+            corner(true, true),
+            corner(false, true),
+        ])
     }
 
     /// The section of the plane (n, k) with a box; `None` if they share no area.
@@ -179,28 +215,48 @@ impl Polygon {
     /// other two faces.
     pub fn section(of: &[IBig; 4], bounds: Aabb) -> Option<Self> {
         let longest = |best: usize, a: usize| {
-            if of[a].clone().unsigned_abs() > of[best].clone().unsigned_abs() { a } else { best }
+            if of[a].clone().unsigned_abs() > of[best].clone().unsigned_abs() {
+                a
+            } else {
+                best
+            }
         };
         let axis = (1..3).fold(0, longest);
         // On the plane above or below each corner of the face: (k − Σ nᵢ xᵢ) / n along the axis.
-        let turn = if sign(&of[axis]) == Ordering::Less { -IBig::ONE } else { IBig::ONE };
+        let turn = if sign(&of[axis]) == Ordering::Less {
+            -IBig::ONE
+        } else {
+            IBig::ONE
+        };
         let corner = |p: &Source| {
             let p = integers(p);
             let others: IBig = (0..3).filter(|i| *i != axis).map(|i| &of[i] * &p[i]).sum();
             let mut point: [IBig; 4] = std::array::from_fn(|i| {
-                let own = if i == axis { &of[3] * &p[3] - &others } else { &of[axis] * &p[i] };
+                let own = if i == axis {
+                    &of[3] * &p[3] - &others
+                } else {
+                    &of[axis] * &p[i]
+                };
                 own * &turn
             });
             primitive(&mut point);
             Source::Exact(Box::new(point))
         };
-        let mut face =
-            Self { points: Self::face_of(bounds, axis, false).points.iter().map(corner).collect() };
+        let mut face = Self {
+            points: Self::face_of(bounds, axis, false)
+                .points
+                .iter()
+                .map(corner)
+                .collect(),
+        };
         for up in [false, true] {
             let wall = Self::face_of(bounds, axis, up).plane();
             let along = sign(&wall[axis]);
-            let sides: Vec<Ordering> =
-                face.points.iter().map(|p| sign(&height(&wall, &integers(p)))).collect();
+            let sides: Vec<Ordering> = face
+                .points
+                .iter()
+                .map(|p| sign(&height(&wall, &integers(p))))
+                .collect();
             face = face.part(&wall, &sides, if up { along.reverse() } else { along })?;
         }
         Some(face)
@@ -245,7 +301,10 @@ impl Polygon {
             }
             if sides[i] == sides[j].reverse() && sides[i] != Ordering::Equal {
                 let (p, q) = (integers(&self.points[i]), integers(&self.points[j]));
-                let (s, t) = (height(plane, &p).unsigned_abs(), height(plane, &q).unsigned_abs());
+                let (s, t) = (
+                    height(plane, &p).unsigned_abs(),
+                    height(plane, &q).unsigned_abs(),
+                );
                 let mut cut: [IBig; 4] = std::array::from_fn(|k| &q[k] * &s + &p[k] * &t);
                 primitive(&mut cut);
                 points.push(Source::Exact(Box::new(cut)));
@@ -313,7 +372,9 @@ impl Polygon {
         let n = self.points.len();
         let p = self.rounded();
         let normal = (p[1] - p[0]).cross(p[2] - p[0]);
-        let k = (0..3).max_by(|i, j| normal[*i].abs().total_cmp(&normal[*j].abs())).unwrap_or(0);
+        let k = (0..3)
+            .max_by(|i, j| normal[*i].abs().total_cmp(&normal[*j].abs()))
+            .unwrap_or(0);
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
         // All corners turn the same way, left or right.
         let (mut left, mut right) = (true, true);
@@ -341,7 +402,9 @@ impl Polygon {
         let normal = self.plane();
         let n = exact.len();
         let left = |a: &[IBig; 4], b: &[IBig; 4], p: &[IBig; 4]| {
-            let d = |q: &[IBig; 4]| -> [IBig; 3] { std::array::from_fn(|k| &q[k] * &a[3] - &a[k] * &q[3]) };
+            let d = |q: &[IBig; 4]| -> [IBig; 3] {
+                std::array::from_fn(|k| &q[k] * &a[3] - &a[k] * &q[3])
+            };
             let (x, y) = (d(b), d(p));
             let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
             sign(&(&normal[0] * minor(1, 2) + &normal[1] * minor(2, 0) + &normal[2] * minor(0, 1)))
@@ -371,24 +434,36 @@ fn fan(points: &[Source]) -> Result<Vec<Polygon>, PolygonError> {
     let p: Vec<DVec3> = points.iter().map(rounded).collect();
     let n = p.len();
     // Twice the area times the mean normal (Newell).
-    let normal: DVec3 = (0..n).map(|i| (p[i] - p[0]).cross(p[(i + 1) % n] - p[0])).sum();
+    let normal: DVec3 = (0..n)
+        .map(|i| (p[i] - p[0]).cross(p[(i + 1) % n] - p[0]))
+        .sum();
     let normal = normal.try_normalize().ok_or(PolygonError::NoArea)?;
     let diameter = p.iter().fold(0.0f64, |m, q| m.max((*q - p[0]).length()));
-    if p.iter().any(|q| (*q - p[0]).dot(normal).abs() > FLAT * diameter) {
+    if p.iter()
+        .any(|q| (*q - p[0]).dot(normal).abs() > FLAT * diameter)
+    {
         return Err(PolygonError::NotFlat);
     }
     for i in 0..n {
         let (a, b) = (p[i], p[(i + 1) % n]);
         let inner = normal.cross(b - a);
-        if p.iter().any(|q| (*q - a).dot(inner) < -FLAT * diameter * inner.length()) {
+        if p.iter()
+            .any(|q| (*q - a).dot(inner) < -FLAT * diameter * inner.length())
+        {
             return Err(PolygonError::NotConvex);
         }
     }
     let triangles: Vec<Polygon> = (1..n - 1)
         .filter(|i| !collinear([&points[0], &points[*i], &points[i + 1]]))
-        .map(|i| Polygon { points: vec![points[0].clone(), points[i].clone(), points[i + 1].clone()] })
+        .map(|i| Polygon {
+            points: vec![points[0].clone(), points[i].clone(), points[i + 1].clone()],
+        })
         .collect();
-    if triangles.is_empty() { Err(PolygonError::NoArea) } else { Ok(triangles) }
+    if triangles.is_empty() {
+        Err(PolygonError::NoArea)
+    } else {
+        Ok(triangles)
+    }
 }
 
 /// A point as doubles.
@@ -401,7 +476,9 @@ pub fn rounded(p: &Source) -> DVec3 {
 
 /// For each coordinate whether [`rounded`] is not exactly it.
 pub fn is_rounded(p: &Source) -> [bool; 3] {
-    let Source::Exact(exact) = p else { return [false; 3] };
+    let Source::Exact(exact) = p else {
+        return [false; 3];
+    };
     let near = integers(&Source::Given(rounded(p)));
     [0, 1, 2].map(|k| &near[k] * &exact[3] != &exact[k] * &near[3])
 }
@@ -420,10 +497,14 @@ fn collinear(p: [&Source; 3]) -> bool {
 /// Whether doubles show that three points are not on a line: a component of (b − a) × (c − a), the
 /// differences being exact, is off by 3u of the magnitudes of its products.
 fn surely_not_collinear(a: DVec3, b: DVec3, c: DVec3) -> bool {
-    let Some(rows) = differences(a, [b, c]) else { return false };
+    let Some(rows) = differences(a, [b, c]) else {
+        return false;
+    };
     let [x, y] = rows.map(DVec3::from);
     let (l, r) = (x.yzx() * y.zxy(), x.zxy() * y.yzx());
-    let surely = (l - r).abs().cmpgt(4.0 * U * (l.abs() + r.abs()) + DVec3::splat(1e-290));
+    let surely = (l - r)
+        .abs()
+        .cmpgt(4.0 * U * (l.abs() + r.abs()) + DVec3::splat(1e-290));
     surely.any()
 }
 
@@ -437,7 +518,12 @@ mod tests {
 
     #[test]
     fn corners_are_checked_and_superfluous_ones_dropped() {
-        let square = v(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0], [0.0, 1.0, 1.0]]);
+        let square = v(&[
+            [0.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [1.0, 1.0, 1.0],
+            [0.0, 1.0, 1.0],
+        ]);
         assert_eq!(Polygon::checked(&square).unwrap()[0].points().len(), 4);
         let more = v(&[
             [0.0, 0.0, 1.0],
@@ -449,10 +535,19 @@ mod tests {
         ]);
         assert_eq!(Polygon::checked(&more).unwrap()[0].points().len(), 4);
         let error = |p: &[[f64; 3]]| Polygon::checked(&v(p)).unwrap_err();
-        assert_eq!(error(&[[0.0; 3], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]), PolygonError::NoArea);
+        assert_eq!(
+            error(&[[0.0; 3], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]),
+            PolygonError::NoArea
+        );
         assert_eq!(error(&[]), PolygonError::NoArea);
-        assert_eq!(error(&[[0.0; 3], [1e-70, 0.0, 0.0], [0.0, 1e-70, 0.0]]), PolygonError::TooSmall);
-        assert_eq!(error(&[[0.0; 3], [f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]]), PolygonError::NotFinite);
+        assert_eq!(
+            error(&[[0.0; 3], [1e-70, 0.0, 0.0], [0.0, 1e-70, 0.0]]),
+            PolygonError::TooSmall
+        );
+        assert_eq!(
+            error(&[[0.0; 3], [f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0]]),
+            PolygonError::NotFinite
+        );
         assert_eq!(
             error(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.5]]),
             PolygonError::NotFlat
@@ -471,37 +566,74 @@ mod tests {
                 )
             })
             .collect();
-        assert_eq!(Polygon::checked(&star).unwrap_err(), PolygonError::NotConvex);
-        assert_eq!(Polygon::checked(&vec![DVec3::ZERO; 65]).unwrap_err(), PolygonError::TooMany);
+        assert_eq!(
+            Polygon::checked(&star).unwrap_err(),
+            PolygonError::NotConvex
+        );
+        assert_eq!(
+            Polygon::checked(&vec![DVec3::ZERO; 65]).unwrap_err(),
+            PolygonError::TooMany
+        );
     }
 
     #[test]
     fn many_corners_become_pieces() {
-        let parabola: Vec<DVec3> = (0..64).map(f64::from).map(|i| DVec3::new(i, i * i, 1.0)).collect();
+        let parabola: Vec<DVec3> = (0..64)
+            .map(f64::from)
+            .map(|i| DVec3::new(i, i * i, 1.0))
+            .collect();
         let pieces = Polygon::checked(&parabola).unwrap();
-        assert!(pieces.iter().all(|p| (3..=MOST_AT_ONCE).contains(&p.points().len()) && p.convex()));
+        assert!(
+            pieces
+                .iter()
+                .all(|p| (3..=MOST_AT_ONCE).contains(&p.points().len()) && p.convex())
+        );
         // Triangles of the whole and of the pieces.
-        assert_eq!(pieces.iter().map(|p| p.points().len() - 2).sum::<usize>(), 62);
+        assert_eq!(
+            pieces.iter().map(|p| p.points().len() - 2).sum::<usize>(),
+            62
+        );
     }
 
     #[test]
     fn corners_in_one_plane_up_to_rounding_become_a_fan() {
-        let bent = v(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1e-12]]);
+        let bent = v(&[
+            [0.0; 3],
+            [1.0, 0.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [0.0, 1.0, 1e-12],
+        ]);
         assert_eq!(Polygon::checked(&bent).unwrap().len(), 2);
     }
 
     #[test]
     fn parts_meet_in_the_plane() {
-        let square =
-            &Polygon::checked(&v(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])).unwrap()[0];
-        let wall = &Polygon::checked(&v(&[[0.3, -1.0, -1.0], [0.3, 2.0, -1.0], [0.3, 2.0, 1.0]])).unwrap()[0];
+        let square = &Polygon::checked(&v(&[
+            [0.0; 3],
+            [1.0, 0.0, 0.0],
+            [1.0, 1.0, 0.0],
+            [0.0, 1.0, 0.0],
+        ]))
+        .unwrap()[0];
+        let wall = &Polygon::checked(&v(&[[0.3, -1.0, -1.0], [0.3, 2.0, -1.0], [0.3, 2.0, 1.0]]))
+            .unwrap()[0];
         let sides = wall.sides(square);
         let plane = wall.plane();
         for keep in [Ordering::Less, Ordering::Greater] {
             let part = square.part(&plane, &sides, keep).unwrap();
             assert_eq!(part.points().len(), 4);
-            assert!(part.points().iter().all(|p| sign(&height(&plane, &integers(p))) != keep.reverse()));
-            assert_eq!(part.points().iter().filter(|p| height(&plane, &integers(p)).is_zero()).count(), 2);
+            assert!(
+                part.points()
+                    .iter()
+                    .all(|p| sign(&height(&plane, &integers(p))) != keep.reverse())
+            );
+            assert_eq!(
+                part.points()
+                    .iter()
+                    .filter(|p| height(&plane, &integers(p)).is_zero())
+                    .count(),
+                2
+            );
         }
     }
 }

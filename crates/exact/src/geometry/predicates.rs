@@ -40,7 +40,11 @@ pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
         + x[2] * (y[0] * z[1] - y[1] * z[0]);
     let (nx, ny, nz) = (nx + ex, ny + ey, nz + ez);
     let bound = 6.1 * (ex * ny * nz + nx * ey * nz + nx * ny * ez) + 100.0 * U * nx * ny * nz;
-    (det.abs() > bound && bound < 1e280).then_some(if det > 0.0 { Ordering::Greater } else { Ordering::Less })
+    (det.abs() > bound && bound < 1e280).then_some(if det > 0.0 {
+        Ordering::Greater
+    } else {
+        Ordering::Less
+    })
 }
 
 /// The orientation of four homogeneous points with w > 0.
@@ -64,8 +68,14 @@ pub fn determinant(p: [&[IBig; 4]; 4]) -> IBig {
 
 /// The orientation of four points in world space.
 pub fn orient(p: [&Source; 4]) -> Ordering {
-    if let [Source::Given(a), Source::Given(b), Source::Given(c), Source::Given(d)] = p
-        && let Some(sign) = orient_doubles(*a, *b, *c, *d).or_else(|| orient_small([*a, *b, *c, *d]))
+    if let [
+        Source::Given(a),
+        Source::Given(b),
+        Source::Given(c),
+        Source::Given(d),
+    ] = p
+        && let Some(sign) =
+            orient_doubles(*a, *b, *c, *d).or_else(|| orient_small([*a, *b, *c, *d]))
     {
         return sign;
     }
@@ -77,7 +87,10 @@ pub fn orient(p: [&Source; 4]) -> Ordering {
 /// [`orient_points`] with exact points; where a product could underflow, integers decide.
 pub fn orient_doubles(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> Option<Ordering> {
     let (x, y, z) = (b - a, c - a, d - a);
-    let (m, n) = (y.cross(z), y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx());
+    let (m, n) = (
+        y.cross(z),
+        y.abs().yzx() * z.abs().zxy() + y.abs().zxy() * z.abs().yzx(),
+    );
     let (det, magnitude) = (x.dot(m), x.abs().dot(n));
     // Underflow is negligible if the sum of products is far above the least normal double.
     let safe = magnitude > 1e-200 && magnitude < 1e250 && x.abs().max_element() < 1e80;
@@ -111,7 +124,12 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
         &a[i] * (&b[j] * &c[k] - &b[k] * &c[j]) - &a[j] * (&b[i] * &c[k] - &b[k] * &c[i])
             + &a[k] * (&b[i] * &c[j] - &b[j] * &c[i])
     };
-    let mut out = [minor(1, 2, 3), minor(2, 0, 3), minor(0, 1, 3), minor(0, 1, 2)];
+    let mut out = [
+        minor(1, 2, 3),
+        minor(2, 0, 3),
+        minor(0, 1, 3),
+        minor(0, 1, 2),
+    ];
     crate::arithmetic::number::primitive(&mut out);
     out
 }
@@ -119,7 +137,8 @@ pub fn plane(p: [&[IBig; 4]; 3]) -> [IBig; 4] {
 /// The plane (n, k) through two different points and along an axis that is not the direction from one to the
 /// other.
 pub fn plane_along([a, b]: [&[IBig; 4]; 2], axis: usize) -> [IBig; 4] {
-    let towards: [IBig; 4] = std::array::from_fn(|i| if i == axis { IBig::ONE } else { IBig::ZERO });
+    let towards: [IBig; 4] =
+        std::array::from_fn(|i| if i == axis { IBig::ONE } else { IBig::ZERO });
     plane([a, b, &towards])
 }
 

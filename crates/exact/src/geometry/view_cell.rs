@@ -19,7 +19,10 @@ impl Cell {
 
     /// The box.
     pub fn bounds(&self) -> Aabb {
-        Aabb { min: self.min, max: self.max }
+        Aabb {
+            min: self.min,
+            max: self.max,
+        }
     }
 
     /// Least and greatest corner.

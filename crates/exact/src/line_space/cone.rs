@@ -31,7 +31,11 @@ impl Region {
     /// On which side of a line's hyperplane each ray is.
     pub fn sides(&self, space: &mut Space, line: VectorId, out: &mut Vec<Ordering>) {
         out.clear();
-        let known = self.halves.iter().position(|h| *h == line).map_or(0, |i| 1u128 << i);
+        let known = self
+            .halves
+            .iter()
+            .position(|h| *h == line)
+            .map_or(0, |i| 1u128 << i);
         let mut sure = 0;
         for (ray, tight) in &self.rays {
             out.push(if tight & known != 0 {
@@ -52,7 +56,11 @@ impl Region {
     }
 
     fn lines(halves: &[VectorId], set: Tight) -> impl Iterator<Item = VectorId> {
-        halves.iter().enumerate().filter(move |(k, _)| set >> k & 1 == 1).map(|(_, h)| *h)
+        halves
+            .iter()
+            .enumerate()
+            .filter(move |(k, _)| set >> k & 1 == 1)
+            .map(|(_, h)| *h)
     }
 
     /// Splits the region into the parts on the negative and on the positive side of a line. `sides` holds the
@@ -92,14 +100,19 @@ impl Region {
                     .filter(|(_, s)| **s != keep.reverse())
                     .map(|((r, t), s)| (*r, if *s == Ordering::Equal { t | bit } else { *t })),
             );
-            Self { rays, halves: halves.clone() }
+            Self {
+                rays,
+                halves: halves.clone(),
+            }
         });
         let mut cut = |i: usize, j: usize| {
             let ((p, tp), (n, tn)) = (base.rays[i], base.rays[j]);
             let common = tp & tn;
             let on = || Self::lines(&halves, common | bit).collect();
             let cut = space.cut([p, n], line, on);
-            parts.iter_mut().for_each(|part| part.rays.push((cut, common | bit)));
+            parts
+                .iter_mut()
+                .for_each(|part| part.rays.push((cut, common | bit)));
         };
         let edges = Edges::new(base);
         for i in (0..sides.len()).filter(|i| sides[*i] == Ordering::Greater) {
@@ -116,23 +129,46 @@ impl Region {
     pub fn within(&self, line: VectorId, sides: &[Ordering]) -> Self {
         let bit = 1u128 << self.halves.len();
         let tight = |side: &Ordering| if *side == Ordering::Equal { bit } else { 0 };
-        let rays = self.rays.iter().zip(sides).map(|((r, t), side)| (*r, t | tight(side))).collect();
-        Self { rays, halves: self.halves.iter().copied().chain([line]).collect() }
+        let rays = self
+            .rays
+            .iter()
+            .zip(sides)
+            .map(|((r, t), side)| (*r, t | tight(side)))
+            .collect();
+        Self {
+            rays,
+            halves: self.halves.iter().copied().chain([line]).collect(),
+        }
     }
 
     /// The region without the half-spaces that are tight at fewer than five rays; these bound no facet.
     pub fn compact(&self) -> Self {
         let kept: Vec<usize> = (0..self.halves.len())
-            .filter(|h| self.rays.iter().filter(|(_, t)| t >> h & 1 == 1).take(5).count() == 5)
+            .filter(|h| {
+                self.rays
+                    .iter()
+                    .filter(|(_, t)| t >> h & 1 == 1)
+                    .take(5)
+                    .count()
+                    == 5
+            })
             .collect();
         let rays = self
             .rays
             .iter()
             .map(|(r, t)| {
-                (*r, kept.iter().enumerate().fold(0, |bits, (new, old)| bits | (t >> old & 1) << new))
+                (
+                    *r,
+                    kept.iter()
+                        .enumerate()
+                        .fold(0, |bits, (new, old)| bits | (t >> old & 1) << new),
+                )
             })
             .collect();
-        Self { rays, halves: kept.iter().map(|h| self.halves[*h]).collect() }
+        Self {
+            rays,
+            halves: kept.iter().map(|h| self.halves[*h]).collect(),
+        }
     }
 }
 
@@ -206,7 +242,8 @@ impl Edges {
             return false;
         }
         let Some(on) = &self.on else {
-            let third = |(k, (_, t)): (usize, &(VectorId, Tight))| k != i && k != j && t & common == common;
+            let third =
+                |(k, (_, t)): (usize, &(VectorId, Tight))| k != i && k != j && t & common == common;
             return !region.rays.iter().enumerate().any(third);
         };
         let two = 1u128 << i | 1u128 << j;

@@ -36,7 +36,12 @@ impl Forms {
         self.rays = region.rays.len();
         let mut sum = [0.0; 6];
         for (ray, _) in &region.rays {
-            for ((column, x), s) in self.columns.iter_mut().zip(space.rounded(*ray)).zip(&mut sum) {
+            for ((column, x), s) in self
+                .columns
+                .iter_mut()
+                .zip(space.rounded(*ray))
+                .zip(&mut sum)
+            {
                 column.push(*x);
                 *s += x;
             }
@@ -58,9 +63,14 @@ impl Forms {
         below.clear();
         for _ in 0..MIXED {
             let (i, j) = (any(), any());
-            let x: [f64; 6] = std::array::from_fn(|k| 0.5 * (self.columns[k][i] + self.columns[k][j]));
+            let x: [f64; 6] =
+                std::array::from_fn(|k| 0.5 * (self.columns[k][i] + self.columns[k][j]));
             let form = klein(&x, &x);
-            if form > 0.0 { above.push((form, x)) } else { below.push((form, x)) }
+            if form > 0.0 {
+                above.push((form, x))
+            } else {
+                below.push((form, x))
+            }
         }
         if above.is_empty() || below.is_empty() {
             return self.rays;
@@ -106,9 +116,16 @@ fn forms(columns: [&[f64]; 6], with: [f64; 6], out: &mut Vec<f64>) {
 pub fn crossing(c: f64, m: f64, e: f64) -> f64 {
     // With t = s/(1 + s), s is the positive root of e s² + 2m s + c, computed without cancellation.
     let root = (m * m - c * e).sqrt();
-    let s =
-        if (m > 0.0) == (e > 0.0) { -c / (m.abs() + root).copysign(e) } else { (m.abs() + root) / e.abs() };
-    if s.is_finite() { (s / (1.0 + s)).clamp(0.0, 1.0) } else { 1.0 }
+    let s = if (m > 0.0) == (e > 0.0) {
+        -c / (m.abs() + root).copysign(e)
+    } else {
+        (m.abs() + root) / e.abs()
+    };
+    if s.is_finite() {
+        (s / (1.0 + s)).clamp(0.0, 1.0)
+    } else {
+        1.0
+    }
 }
 
 #[cfg(test)]
@@ -124,7 +141,13 @@ mod tests {
         let mut space = Space::new(Frame::around(&[DVec3::ZERO, DVec3::X, DVec3::Y], &corners));
         let rays = rays.iter().map(|r| (space.given(*r), 0)).collect();
         let mut forms = Forms::default();
-        forms.begin(&space, &Region { rays, halves: [].into() });
+        forms.begin(
+            &space,
+            &Region {
+                rays,
+                halves: [].into(),
+            },
+        );
         forms
     }
 
@@ -142,7 +165,10 @@ mod tests {
         for at in 6..many {
             let line: [f64; 6] = std::array::from_fn(|k| forms.columns[k][at]);
             assert!(klein(&line, &line).abs() < 1e-15, "{line:?}");
-            assert!(line[..5].iter().all(|c| *c >= 0.0) && line[5] <= 0.0, "{line:?}");
+            assert!(
+                line[..5].iter().all(|c| *c >= 0.0) && line[5] <= 0.0,
+                "{line:?}"
+            );
             assert!(line.iter().any(|c| *c != 0.0));
         }
         // A second call replaces the lines.

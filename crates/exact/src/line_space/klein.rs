@@ -34,7 +34,10 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
     let at_centre = klein(&forms.centre, &forms.centre);
     forms.turn = if at_centre > 0.0 { -1.0 } else { 1.0 };
     // The greatest error of a form of two rays: no component exceeds 1, and the sum of six is at most 6.
-    let error = region.rays.iter().fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
+    let error = region
+        .rays
+        .iter()
+        .fold(0.0f64, |m, (r, _)| m.max(space.error(*r)));
     let bound = 48.0 * U + 13.0 * error + 7.0 * error * error;
     // The number of certain signs is a double so that the loop vectorises.
     let (mut right, mut wrong, mut sure) = (false, false, 0.0f64);
@@ -66,12 +69,20 @@ pub fn contents(space: &mut Space, region: &Region, most: usize, forms: &mut For
         let j = i + forms.row(i).iter().position(|v| *v == value).unwrap_or(0);
         // Smaller values of the form are rounding errors and would give lines that are not real.
         let noise = 64.0 * U + 16.0 * error;
-        let (a, b) = (space.rounded(region.rays[i].0), space.rounded(region.rays[j].0));
-        let Some(end) = beyond(a, b, at_centre, noise) else { continue };
+        let (a, b) = (
+            space.rounded(region.rays[i].0),
+            space.rounded(region.rays[j].0),
+        );
+        let Some(end) = beyond(a, b, at_centre, noise) else {
+            continue;
+        };
         // K((1−t)c + te) = 0 with K(c), K(e) of different signs.
         let (c, m, e) = (at_centre, klein(&forms.centre, &end), klein(&end, &end));
         let t = crossing(c, m, e);
-        lines.push((t, std::array::from_fn(|k| (1.0 - t) * forms.centre[k] + t * end[k])));
+        lines.push((
+            t,
+            std::array::from_fn(|k| (1.0 - t) * forms.centre[k] + t * end[k]),
+        ));
     }
     forms.farthest = farthest;
     if !both {
@@ -97,10 +108,17 @@ fn both_signs(
     // The lines each ray is on, filled when first needed.
     let mut on: Vec<Vec<VectorId>> = vec![Vec::new(); region.rays.len()];
     let turned = forms.turn < 0.0;
-    let (mut positive, mut negative) =
-        (right && turned || wrong && !turned, right && !turned || wrong && turned);
+    let (mut positive, mut negative) = (
+        right && turned || wrong && !turned,
+        right && !turned || wrong && turned,
+    );
     for i in 0..on.len() {
-        for (j, _) in forms.row(i).iter().enumerate().filter(|(_, v)| v.abs() <= bound || v.is_nan()) {
+        for (j, _) in forms
+            .row(i)
+            .iter()
+            .enumerate()
+            .filter(|(_, v)| v.abs() <= bound || v.is_nan())
+        {
             let j = i + j;
             for k in [i, j] {
                 if on[k].is_empty() {
@@ -157,7 +175,13 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
             space.sharpen_from(*r, &on);
             let x = space.exact(*r);
             let longest = x.iter().map(|c| c.bit_len()).max().unwrap_or(0);
-            x.clone().map(|c| if longest > FINE { c >> (longest - FINE) } else { c << (FINE - longest) })
+            x.clone().map(|c| {
+                if longest > FINE {
+                    c >> (longest - FINE)
+                } else {
+                    c << (FINE - longest)
+                }
+            })
         })
         .collect()
 }
@@ -166,10 +190,15 @@ pub fn fine(space: &mut Space, region: &Region) -> Vec<[IBig; 6]> {
 /// rays shows a change of sign.
 pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let rays = fine(space, region);
-    let sum = |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
+    let sum =
+        |a: &[IBig; 6], b: &[IBig; 6]| -> [IBig; 6] { std::array::from_fn(|i| &a[i] + &b[i]) };
     let centre = rays[1..].iter().fold(rays[0].clone(), |s, r| sum(&s, r));
     let c = klein_exact(&centre, &centre);
-    let turn = if sign(&c) == Ordering::Greater { -1.0 } else { 1.0 };
+    let turn = if sign(&c) == Ordering::Greater {
+        -1.0
+    } else {
+        1.0
+    };
     let wrong = |x: IBig| if turn < 0.0 { -x } else { x };
     // Doubles rank the pairs by how far they reach to the other side; integers decide the signs.
     let near: Vec<[f64; 6]> = rays.iter().map(rounded).collect();
@@ -217,6 +246,10 @@ pub fn precise(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let under = &m * &m - &c * &e;
     let up = FINE.saturating_sub(under.bit_len() / 2);
     let root = IBig::from((under << (2 * up)).sqrt()) + (m.clone().abs() << up);
-    let (n, d) = if sign(&m) == sign(&e) { (c.abs() << up, root) } else { (root, e.abs() << up) };
+    let (n, d) = if sign(&m) == sign(&e) {
+        (c.abs() << up, root)
+    } else {
+        (root, e.abs() << up)
+    };
     Some(std::array::from_fn(|k| &centre[k] * &d + &end[k] * &n))
 }

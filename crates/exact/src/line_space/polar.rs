@@ -37,10 +37,17 @@ pub fn split(space: &mut Space, region: &Region) -> Option<PolarSplit> {
 }
 
 /// Splits a region by the hyperplane polar to a vector of the frame, truncated in world space to `bits` bits.
-fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) -> Option<PolarSplit> {
+fn split_by(
+    space: &mut Space,
+    region: &Region,
+    polar: &[IBig; 6],
+    bits: usize,
+) -> Option<PolarSplit> {
     let mut polar = space.frame().line_to_world(polar);
     let longest = polar.iter().map(|c| c.bit_len()).max().unwrap_or(0);
-    polar.iter_mut().for_each(|c| *c >>= longest.saturating_sub(bits));
+    polar
+        .iter_mut()
+        .for_each(|c| *c >>= longest.saturating_sub(bits));
     if polar.iter().all(IBig::is_zero) {
         return None;
     }
@@ -58,9 +65,18 @@ fn split_by(space: &mut Space, region: &Region, polar: &[IBig; 6], bits: usize) 
 
 /// In doubles: the hyperplane for the two rays whose form is farthest from the sign of the centre.
 fn in_doubles(space: &Space, region: &Region) -> Option<[f64; 6]> {
-    let x: Vec<[f64; 6]> = region.rays.iter().map(|(r, _)| *space.rounded(*r)).collect();
-    let centre: [f64; 6] = std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
-    let wrong = if klein(&centre, &centre) > 0.0 { -1.0 } else { 1.0 };
+    let x: Vec<[f64; 6]> = region
+        .rays
+        .iter()
+        .map(|(r, _)| *space.rounded(*r))
+        .collect();
+    let centre: [f64; 6] =
+        std::array::from_fn(|i| x.iter().map(|v| v[i]).sum::<f64>() / x.len() as f64);
+    let wrong = if klein(&centre, &centre) > 0.0 {
+        -1.0
+    } else {
+        1.0
+    };
     let mut best: Option<(f64, usize, usize)> = None;
     for i in 0..x.len() {
         for j in i + 1..x.len() {
@@ -89,7 +105,8 @@ fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     for (i, j) in (0..rays.len()).flat_map(|i| (i + 1..rays.len()).map(move |j| (i, j))) {
         let pair = klein_exact(&rays[i], &rays[j]);
         let signs = [&own[i], &own[j]].map(sign);
-        if signs[0] != signs[1] || signs[0] == Ordering::Equal || sign(&pair) != signs[0].reverse() {
+        if signs[0] != signs[1] || signs[0] == Ordering::Equal || sign(&pair) != signs[0].reverse()
+        {
             continue;
         }
         // The form of the pair relative to the own forms of the two rays.
@@ -104,7 +121,9 @@ fn in_integers(space: &mut Space, region: &Region) -> Option<[IBig; 6]> {
     let bits = |x: &IBig| x.bit_len() / 2;
     let (p, q) = (bits(&own[i]), bits(&own[j]));
     let (up, over) = (p.saturating_sub(q), q.saturating_sub(p));
-    Some(std::array::from_fn(|k| (&rays[j][k] << up) - (&rays[i][k] << over)))
+    Some(std::array::from_fn(|k| {
+        (&rays[j][k] << up) - (&rays[i][k] << over)
+    }))
 }
 
 #[cfg(test)]
@@ -131,14 +150,18 @@ mod tests {
     }
 
     fn space() -> Space {
-        let square =
-            |z: f64| [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z));
+        let square = |z: f64| {
+            [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]].map(|[x, y]| DVec3::new(x, y, z))
+        };
         Space::new(Frame::around(&square(0.0), &square(3.0)))
     }
 
     fn simplex(space: &mut Space, of: &[[IBig; 6]; 6]) -> Region {
         let (rays, halves) = space.simplex(of);
-        Region { rays, halves: halves.into() }
+        Region {
+            rays,
+            halves: halves.into(),
+        }
     }
 
     #[test]
@@ -148,15 +171,23 @@ mod tests {
         for round in 0..800 {
             let mut space = space();
             let region = simplex(&mut space, &nearly_one(&mut random, 20 + round % 80));
-            let Some(line) = klein::precise(&mut space, &region) else { continue };
+            let Some(line) = klein::precise(&mut space, &region) else {
+                continue;
+            };
             found += 1;
             let bits = line.iter().map(|c| c.bit_len()).max().unwrap();
-            assert!(klein_exact(&line, &line).bit_len() + 250 < 2 * bits, "round {round}");
+            assert!(
+                klein_exact(&line, &line).bit_len() + 250 < 2 * bits,
+                "round {round}"
+            );
             // The line is on the same side of each facet as the ray opposite the facet.
             for (half, (ray, _)) in region.halves.iter().zip(&region.rays) {
                 let (half, ray) = (space.exact(*half).clone(), space.exact(*ray).clone());
                 let sides = [&line, &ray].map(|x| sign(&klein_exact(x, &half)));
-                assert!(sides[0] == sides[1] || sides[0] == Ordering::Equal, "round {round}");
+                assert!(
+                    sides[0] == sides[1] || sides[0] == Ordering::Equal,
+                    "round {round}"
+                );
             }
         }
         assert!(found > 100, "{found} had lines");
@@ -172,8 +203,10 @@ mod tests {
             let mut open = vec![simplex(&mut space, &cone)];
             let mut splits = 0;
             while let Some(region) = open.pop() {
-                if !matches!(contents(&mut space, &region, 2, &mut forms), Contents::Unsure)
-                    || klein::precise(&mut space, &region).is_some()
+                if !matches!(
+                    contents(&mut space, &region, 2, &mut forms),
+                    Contents::Unsure
+                ) || klein::precise(&mut space, &region).is_some()
                 {
                     continue;
                 }
@@ -183,7 +216,10 @@ mod tests {
                         .is_none(),
                 );
                 splits += 1;
-                assert!(splits <= crate::search::Limits::default().splits, "a query would end before");
+                assert!(
+                    splits <= crate::search::Limits::default().splits,
+                    "a query would end before"
+                );
                 let (_, parts) = split(&mut space, &region).expect("a pair has the other sign");
                 open.extend(parts);
             }

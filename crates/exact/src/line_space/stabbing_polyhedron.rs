@@ -77,19 +77,32 @@ pub fn stabbing(
         points.into_iter().map(|p| space.point(p)).collect()
     };
     let (pa, pb) = (add(space, a), add(space, b));
-    let corners = a.points().iter().chain(b.points()).map(crate::geometry::polygon::rounded);
+    let corners = a
+        .points()
+        .iter()
+        .chain(b.points())
+        .map(crate::geometry::polygon::rounded);
     let size = corners.fold(0.0f64, |m, p| m.max(p.abs().max_element()));
-    let off =
-        |sides: &[Ordering]| sides.iter().copied().find(|s| *s != Ordering::Equal).unwrap_or(Ordering::Equal);
+    let off = |sides: &[Ordering]| {
+        sides
+            .iter()
+            .copied()
+            .find(|s| *s != Ordering::Equal)
+            .unwrap_or(Ordering::Equal)
+    };
     let (ahead, behind) = (off(b_sides), off(a_sides));
     let edges = |space: &mut Space, p: &[u32]| -> Vec<VectorId> {
-        (0..p.len()).map(|i| space.join(p[i], p[(i + 1) % p.len()])).collect()
+        (0..p.len())
+            .map(|i| space.join(p[i], p[(i + 1) % p.len()]))
+            .collect()
     };
     let mut halves = edges(space, &pa);
     halves.extend(edges(space, &pb));
     let (n, m) = (pa.len(), pb.len());
     // The bits of the two edges at a vertex, and of all edges of a polygon.
-    let at = |i: usize, n: usize, first: usize| 1u128 << (first + i) | 1u128 << (first + (i + n - 1) % n);
+    let at = |i: usize, n: usize, first: usize| {
+        1u128 << (first + i) | 1u128 << (first + (i + n - 1) % n)
+    };
     let all = |n: usize, first: usize| ((1u128 << n) - 1) << first;
     // One line for each ray of the quotient, and the edges tight there.
     let mut quotient: Vec<(VectorId, u128)> = Vec::with_capacity(n * m);
@@ -107,8 +120,16 @@ pub fn stabbing(
                 }
                 continue;
             }
-            let tight_a = if hj == Ordering::Equal { all(n, 0) } else { at(i, n, 0) };
-            let tight_b = if gi == Ordering::Equal { all(m, n) } else { at(j, m, n) };
+            let tight_a = if hj == Ordering::Equal {
+                all(n, 0)
+            } else {
+                at(i, n, 0)
+            };
+            let tight_b = if gi == Ordering::Equal {
+                all(m, n)
+            } else {
+                at(j, m, n)
+            };
             // A vertex on the other polygon's plane makes one ray, with the first partner that is off its own
             // plane.
             let seen = if gi == Ordering::Equal {
@@ -126,9 +147,15 @@ pub fn stabbing(
             }
         }
     }
-    let plane = |p: &[u32]| Through { points: [p[0], p[1], p[2]], turned: false };
+    let plane = |p: &[u32]| Through {
+        points: [p[0], p[1], p[2]],
+        turned: false,
+    };
     let k = space.meet(plane(&pa), plane(&pb));
-    let same: Vec<bool> = along.iter().map(|l| space.same_line(k, *l) == Some(true)).collect();
+    let same: Vec<bool> = along
+        .iter()
+        .map(|l| space.same_line(k, *l) == Some(true))
+        .collect();
     let (ends_up, ends_down) = (same.contains(&true), same.contains(&false));
     let minus = space.opposite(k);
     let mut regions = Vec::with_capacity(2);
@@ -143,7 +170,10 @@ pub fn stabbing(
         for end in [k, minus] {
             let mut rays = base.clone();
             rays.push((end, apex));
-            regions.push(Region { rays, halves: [&halves[..], &[middle]].concat().into() });
+            regions.push(Region {
+                rays,
+                halves: [&halves[..], &[middle]].concat().into(),
+            });
         }
     } else {
         let (top, bottom) = caps(space, (&halves, n), &lines, k)?;
@@ -160,9 +190,20 @@ pub fn stabbing(
                 rays.push((onto(space, *line, [k, minus], cap), tight | bit));
             }
         }
-        regions.push(Region { rays, halves: halves.into() });
+        regions.push(Region {
+            rays,
+            halves: halves.into(),
+        });
     }
-    Ok(Pair { a: pa, b: pb, ahead, behind, regions, size, flat: FxHashMap::default() })
+    Ok(Pair {
+        a: pa,
+        b: pb,
+        ahead,
+        behind,
+        regions,
+        size,
+        flat: FxHashMap::default(),
+    })
 }
 
 /// The ray of `line` + t·k that is on the hyperplane `cap`, with k and −k given.
@@ -205,14 +246,19 @@ fn caps(
 /// The mean of the lines as a functional, made to vanish on k.
 fn mean(space: &Space, lines: &[VectorId], k: VectorId) -> [f64; 6] {
     let k_at = space.rounded(k);
-    let mean: [f64; 6] = std::array::from_fn(|i| lines.iter().map(|l| space.rounded(*l)[i]).sum::<f64>());
+    let mean: [f64; 6] =
+        std::array::from_fn(|i| lines.iter().map(|l| space.rounded(*l)[i]).sum::<f64>());
     let along = dot(&mean, k_at) / dot(k_at, k_at);
     std::array::from_fn(|i| mean[i] - along * k_at[i])
 }
 
 /// The sum of the functionals of all edges, each turned so that no line is on its negative side. k is on all
 /// of them.
-fn edge_sum(space: &mut Space, (edges, of_a): (&[VectorId], usize), lines: &[VectorId]) -> [f64; 6] {
+fn edge_sum(
+    space: &mut Space,
+    (edges, of_a): (&[VectorId], usize),
+    lines: &[VectorId],
+) -> [f64; 6] {
     let mut sum = [0.0; 6];
     for polygon in [&edges[..of_a], &edges[of_a..]] {
         // A line passes all edges of a convex polygon on the same side, so the first line found off an edge
@@ -222,7 +268,11 @@ fn edge_sum(space: &mut Space, (edges, of_a): (&[VectorId], usize), lines: &[Vec
             .flat_map(|e| lines.iter().map(move |l| (*e, *l)))
             .map(|(e, l)| space.side(l, e))
             .find(|s| *s != Ordering::Equal);
-        let turn = if side == Some(Ordering::Less) { -1.0 } else { 1.0 };
+        let turn = if side == Some(Ordering::Less) {
+            -1.0
+        } else {
+            1.0
+        };
         for e in polygon {
             let x = space.rounded(*e);
             // The Klein form as a scalar product.
@@ -248,7 +298,12 @@ struct Caps {
 }
 
 impl Caps {
-    fn fit(space: &Space, through: &[VectorId], k: VectorId, sigma: [f64; 6]) -> Result<Self, NoCaps> {
+    fn fit(
+        space: &Space,
+        through: &[VectorId],
+        k: VectorId,
+        sigma: [f64; 6],
+    ) -> Result<Self, NoCaps> {
         let at: Vec<[f64; 6]> = through.iter().map(|l| *space.rounded(*l)).collect();
         let k_at = *space.rounded(k);
         // φ minimises Σ φ(v)² subject to φ(k) = 1: φ = G⁻¹k / (k·G⁻¹k) with G = Σ v vᵀ, regularised.
@@ -281,7 +336,13 @@ impl Caps {
                 lowest = lowest.min(p / s);
             }
         }
-        Ok(Self { phi, sigma, highest, lowest, k })
+        Ok(Self {
+            phi,
+            sigma,
+            highest,
+            lowest,
+            k,
+        })
     }
 
     /// The hyperplane of the functional `f`; [`klein`] swaps halves.
@@ -291,19 +352,31 @@ impl Caps {
 
     /// t·σ − φ (or φ − t·σ below), with t raised until all lines are on its positive side and k (−k) is not.
     fn cap(&self, space: &mut Space, through: &[VectorId], way: f64) -> Result<VectorId, NoCaps> {
-        let (mut t, other) =
-            if way > 0.0 { (self.highest, self.lowest) } else { (self.lowest, self.highest) };
+        let (mut t, other) = if way > 0.0 {
+            (self.highest, self.lowest)
+        } else {
+            (self.lowest, self.highest)
+        };
         let mut step = (t - other).abs().max(1e-6 * t.abs()).max(64.0 * U) * 0.02;
         if !t.is_finite() || !step.is_finite() {
             return Err(NoCaps);
         }
-        let wanted_at_k = if way > 0.0 { Ordering::Less } else { Ordering::Greater };
+        let wanted_at_k = if way > 0.0 {
+            Ordering::Less
+        } else {
+            Ordering::Greater
+        };
         for _ in 0..60 {
             t += way * step;
             step *= 2.0;
-            let cap = Self::plane(space, std::array::from_fn(|i| way * (t * self.sigma[i] - self.phi[i])));
+            let cap = Self::plane(
+                space,
+                std::array::from_fn(|i| way * (t * self.sigma[i] - self.phi[i])),
+            );
             let fits = space.side(self.k, cap) == wanted_at_k
-                && through.iter().all(|l| space.side(*l, cap) == Ordering::Greater);
+                && through
+                    .iter()
+                    .all(|l| space.side(*l, cap) == Ordering::Greater);
             if fits {
                 return Ok(cap);
             }
@@ -344,6 +417,9 @@ fn solve(mut a: [[f64; 6]; 6], b: [f64; 6]) -> Option<[f64; 6]> {
 pub fn crossing_point(space: &Space, line: &[f64; 6], polygon: &[u32]) -> DVec3 {
     let [a, b, c] = [0, 1, 2].map(|i| DVec3::from(space.point_at(polygon[i]).at));
     let normal = (b - a).cross(c - a);
-    let (d, m) = (DVec3::new(line[0], line[1], line[2]), DVec3::new(line[3], line[4], line[5]));
+    let (d, m) = (
+        DVec3::new(line[0], line[1], line[2]),
+        DVec3::new(line[3], line[4], line[5]),
+    );
     (normal.cross(m) + d * normal.dot(a)) / normal.dot(d)
 }

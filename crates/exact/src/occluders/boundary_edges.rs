@@ -29,7 +29,12 @@ impl BoundaryEdges {
         for (id, o) in occluders.iter().enumerate() {
             first.push(edges.len() as u32);
             for [a, b] in &o.edges {
-                edges.push(([*a.min(b), *a.max(b)], OccluderId(id as u32), a > b, edges.len() as u32));
+                edges.push((
+                    [*a.min(b), *a.max(b)],
+                    OccluderId(id as u32),
+                    a > b,
+                    edges.len() as u32,
+                ));
             }
         }
         edges.par_sort_unstable();
@@ -43,7 +48,12 @@ impl BoundaryEdges {
             groups.push((sharing.len() - same.len()) as u32);
         }
         groups.push(sharing.len() as u32);
-        Self { first, group, groups, sharing }
+        Self {
+            first,
+            group,
+            groups,
+            sharing,
+        }
     }
 
     /// The number of an occluder's first edge; the others follow in the order of its border.

@@ -46,7 +46,11 @@ impl<'a> Faces<'a> {
     pub fn new(triangles: &'a [[Vec3; 3]], corners: &'a [u32], solid: &[bool]) -> Self {
         let n = triangles.len();
         let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * n);
-        for (id, c) in corners.chunks_exact(3).enumerate().filter(|(id, _)| solid[*id]) {
+        for (id, c) in corners
+            .chunks_exact(3)
+            .enumerate()
+            .filter(|(id, _)| solid[*id])
+        {
             for k in 0..3 {
                 let (a, b) = (c[k], c[(k + 1) % 3]);
                 edges.push((a.min(b), a.max(b), id as u32));
@@ -55,7 +59,9 @@ impl<'a> Faces<'a> {
         edges.par_sort_unstable();
         let flat = |(s, t): &(u32, u32)| {
             let v = triangles[*s as usize];
-            triangles[*t as usize].iter().all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
+            triangles[*t as usize]
+                .iter()
+                .all(|p| orient3d_sign(v[0], v[1], v[2], *p) == Ordering::Equal)
         };
         let pairs = edges
             .par_windows(2)
@@ -65,9 +71,17 @@ impl<'a> Faces<'a> {
             .collect();
         let faces = (0..n)
             .into_par_iter()
-            .map(|id| solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3])))
+            .map(|id| {
+                solid[id].then(|| Face::of(id as u32, &triangles[id], &corners[3 * id..3 * id + 3]))
+            })
             .collect();
-        Self { triangles, corners, sets: UnionFind::new(n), faces, pairs }
+        Self {
+            triangles,
+            corners,
+            sets: UnionFind::new(n),
+            faces,
+            pairs,
+        }
     }
 
     /// Merges neighbours while their union is convex.
@@ -82,7 +96,8 @@ impl<'a> Faces<'a> {
                     return false;
                 }
                 let (lo, hi) = (a.min(b), a.max(b));
-                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize]) else {
+                let (Some(x), Some(y)) = (&self.faces[lo as usize], &self.faces[hi as usize])
+                else {
                     return false;
                 };
                 match x.joined(y, self.triangles) {
@@ -113,7 +128,10 @@ impl<'a> Faces<'a> {
                 kept.push(face);
             }
         }
-        let occluders = kept.par_iter().map(|face| face.occluder(self.triangles, self.corners)).collect();
+        let occluders = kept
+            .par_iter()
+            .map(|face| face.occluder(self.triangles, self.corners))
+            .collect();
         let of = roots.iter().map(|r| number[*r as usize]).collect();
         (occluders, of)
     }
@@ -121,13 +139,22 @@ impl<'a> Faces<'a> {
 
 impl Face {
     fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
-        let border =
-            (0..3).map(|k| Edge { from: c[k], to: c[(k + 1) % 3], ends: [v[k], v[(k + 1) % 3]] }).collect();
+        let border = (0..3)
+            .map(|k| Edge {
+                from: c[k],
+                to: c[(k + 1) % 3],
+                ends: [v[k], v[(k + 1) % 3]],
+            })
+            .collect();
         // A triangle with area has area in at least one projection along an axis; the choice is exact.
-        let turn = |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
+        let turn =
+            |axis: usize| orient2d_sign(flat(v[0], axis), flat(v[1], axis), flat(v[2], axis));
         let axis = (0..3).find(|k| turn(*k) != Ordering::Equal).unwrap_or(0);
         Self {
-            triangles: vec![OccluderTriangle { triangle: id, reversed: false }],
+            triangles: vec![OccluderTriangle {
+                triangle: id,
+                reversed: false,
+            }],
             border,
             axis,
             mirrored: turn(axis) == Ordering::Less,
@@ -142,12 +169,23 @@ impl Face {
         // Reversed if needed, so that both have the same orientation in the projection.
         let OccluderTriangle { triangle, reversed } = other.triangles[0];
         let v = &triangles[triangle as usize];
-        let clockwise = orient2d_sign(flat(v[0], self.axis), flat(v[1], self.axis), flat(v[2], self.axis))
-            == Ordering::Less;
+        let clockwise = orient2d_sign(
+            flat(v[0], self.axis),
+            flat(v[1], self.axis),
+            flat(v[2], self.axis),
+        ) == Ordering::Less;
         let flip = (clockwise != reversed) != self.mirrored;
         let mut border = self.border.clone();
         for e in &other.border {
-            let e = if flip { Edge { from: e.to, to: e.from, ends: [e.ends[1], e.ends[0]] } } else { *e };
+            let e = if flip {
+                Edge {
+                    from: e.to,
+                    to: e.from,
+                    ends: [e.ends[1], e.ends[0]],
+                }
+            } else {
+                *e
+            };
             match border.iter().position(|f| f.from == e.to && f.to == e.from) {
                 Some(i) => {
                     border.remove(i);
@@ -161,11 +199,20 @@ impl Face {
         // One loop, every turn to the left or straight on.
         let mut at = 0;
         for step in 1..=border.len() {
-            let mut next = border.iter().enumerate().filter(|(_, e)| e.from == border[at].to);
-            let (Some((i, e)), None) = (next.next(), next.next()) else { return None };
+            let mut next = border
+                .iter()
+                .enumerate()
+                .filter(|(_, e)| e.from == border[at].to);
+            let (Some((i, e)), None) = (next.next(), next.next()) else {
+                return None;
+            };
             let ([a, b], c) = (border[at].ends, e.ends[1]);
             let turn = orient2d_sign(flat(a, self.axis), flat(b, self.axis), flat(c, self.axis));
-            let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
+            let right = if self.mirrored {
+                Ordering::Greater
+            } else {
+                Ordering::Less
+            };
             if turn == right {
                 return None;
             }
@@ -175,16 +222,35 @@ impl Face {
             }
         }
         // A loop with left turns only may wind twice, so no corner may be to the right of any edge.
-        let right = if self.mirrored { Ordering::Greater } else { Ordering::Less };
-        let outside = |e: &Edge, p: Vec3| {
-            orient2d_sign(flat(e.ends[0], self.axis), flat(e.ends[1], self.axis), flat(p, self.axis)) == right
+        let right = if self.mirrored {
+            Ordering::Greater
+        } else {
+            Ordering::Less
         };
-        if border.iter().any(|e| border.iter().any(|f| outside(e, f.ends[0]))) {
+        let outside = |e: &Edge, p: Vec3| {
+            orient2d_sign(
+                flat(e.ends[0], self.axis),
+                flat(e.ends[1], self.axis),
+                flat(p, self.axis),
+            ) == right
+        };
+        if border
+            .iter()
+            .any(|e| border.iter().any(|f| outside(e, f.ends[0])))
+        {
             return None;
         }
         let mut all = self.triangles.clone();
-        all.extend(other.triangles.iter().map(|t| OccluderTriangle { reversed: t.reversed != flip, ..*t }));
-        Some(Self { triangles: all, border, axis: self.axis, mirrored: self.mirrored })
+        all.extend(other.triangles.iter().map(|t| OccluderTriangle {
+            reversed: t.reversed != flip,
+            ..*t
+        }));
+        Some(Self {
+            triangles: all,
+            border,
+            axis: self.axis,
+            mirrored: self.mirrored,
+        })
     }
 
     /// The face as an occluder, with its border in the order of its triangles.
@@ -192,7 +258,11 @@ impl Face {
         let mut members = self.triangles.clone();
         members.sort_unstable();
         let (edges, border) = border(&members, triangles, corners);
-        Occluder { triangles: members, border, edges }
+        Occluder {
+            triangles: members,
+            border,
+            edges,
+        }
     }
 }
 

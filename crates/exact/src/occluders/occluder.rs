@@ -44,7 +44,11 @@ impl Occluder {
             .map(|_| {
                 let corner = self.border[at][0];
                 // A merged face has one loop: the next edge starts where this one ends.
-                at = self.edges.iter().position(|e| e[0] == self.edges[at][1]).unwrap_or(at);
+                at = self
+                    .edges
+                    .iter()
+                    .position(|e| e[0] == self.edges[at][1])
+                    .unwrap_or(at);
                 corner
             })
             .collect()
@@ -59,9 +63,16 @@ pub fn border(
 ) -> (Vec<[u32; 2]>, Vec<[Vec3; 2]>) {
     let mut left: Vec<([u32; 2], [Vec3; 2])> = Vec::new();
     for OccluderTriangle { triangle, reversed } in members {
-        let (c, v) = (&corners[3 * *triangle as usize..], &triangles[*triangle as usize]);
+        let (c, v) = (
+            &corners[3 * *triangle as usize..],
+            &triangles[*triangle as usize],
+        );
         for k in 0..3 {
-            let (i, j) = if *reversed { ((k + 1) % 3, k) } else { (k, (k + 1) % 3) };
+            let (i, j) = if *reversed {
+                ((k + 1) % 3, k)
+            } else {
+                (k, (k + 1) % 3)
+            };
             match left.iter().rposition(|(e, _)| *e == [c[j], c[i]]) {
                 Some(at) => {
                     left.remove(at);

@@ -26,7 +26,8 @@ pub fn shows(scene: &Occluders, p: Vec3, q: Vec3, id: u32, scratch: &mut Vec<u32
         let t = *scene.triangle(*other);
         *other == id
             || crossing(t, p, q) == Crossing::Not
-            || t.iter().all(|v| orient3d_sign(a, b, c, *v) == Ordering::Equal)
+            || t.iter()
+                .all(|v| orient3d_sign(a, b, c, *v) == Ordering::Equal)
     })
 }
 
@@ -60,8 +61,17 @@ mod tests {
     use super::*;
 
     fn scene(triangles: &[[[f32; 3]; 3]]) -> Occluders {
-        let triangles: Vec<Triangle> = triangles.iter().map(|t| Triangle { v: t.map(Vec3::from) }).collect();
-        let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+        let triangles: Vec<Triangle> = triangles
+            .iter()
+            .map(|t| Triangle {
+                v: t.map(Vec3::from),
+            })
+            .collect();
+        let object = Object {
+            name: "all".to_owned(),
+            first: 0,
+            count: triangles.len() as u32,
+        };
         Occluders::new(&Scene::new("test", triangles, vec![object]).unwrap()).unwrap()
     }
 
@@ -70,17 +80,33 @@ mod tests {
         let at = |x: f32| [[x, -1.0, -1.0], [x, 2.0, -1.0], [x, -1.0, 2.0]];
         let s = scene(&[at(1.0), at(2.0), at(1.0)]);
         let mut scratch = Vec::new();
-        let mut shows = |p: [f32; 3], q: [f32; 3], id| shows(&s, p.into(), q.into(), id, &mut scratch);
+        let mut shows =
+            |p: [f32; 3], q: [f32; 3], id| shows(&s, p.into(), q.into(), id, &mut scratch);
         assert!(shows([0.0; 3], [1.5, 0.0, 0.0], 0) && shows([0.0; 3], [1.5, 0.0, 0.0], 2));
         assert!(!shows([0.0; 3], [1.5, 0.0, 0.0], 1) && !shows([0.0; 3], [2.5, 0.0, 0.0], 1));
-        assert!(!shows([0.0; 3], [1.0, 0.0, 0.0], 0), "it ends on the triangle");
-        assert!(!shows([0.0, 0.5, 0.5], [1.5, 0.5, 0.5], 0), "it meets an edge");
-        assert!(!shows([0.0, 3.0, 0.0], [1.5, 3.0, 0.0], 0), "it passes outside");
+        assert!(
+            !shows([0.0; 3], [1.0, 0.0, 0.0], 0),
+            "it ends on the triangle"
+        );
+        assert!(
+            !shows([0.0, 0.5, 0.5], [1.5, 0.5, 0.5], 0),
+            "it meets an edge"
+        );
+        assert!(
+            !shows([0.0, 3.0, 0.0], [1.5, 3.0, 0.0], 0),
+            "it passes outside"
+        );
         assert!(shows([3.0, 0.0, 0.0], [1.5, 0.0, 0.0], 1), "from behind");
-        assert!(!shows([1.0, 0.0, 0.0], [2.5, 0.0, 0.0], 1), "it begins on another triangle");
+        assert!(
+            !shows([1.0, 0.0, 0.0], [2.5, 0.0, 0.0], 1),
+            "it begins on another triangle"
+        );
         assert!(shows([1.25, 0.0, 0.0], [2.5, 0.0, 0.0], 1));
         assert_eq!(first(&s, DVec3::ZERO, DVec3::X).map(|(_, t)| t), Some(1.0));
-        assert_eq!(first(&s, DVec3::new(1.5, 0.0, 0.0), DVec3::X * 0.5), Some((1, 1.0)));
+        assert_eq!(
+            first(&s, DVec3::new(1.5, 0.0, 0.0), DVec3::X * 0.5),
+            Some((1, 1.0))
+        );
         assert_eq!(first(&s, DVec3::new(2.5, 0.0, 0.0), DVec3::X), None);
     }
 }

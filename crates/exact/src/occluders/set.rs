@@ -79,17 +79,33 @@ impl Occluders {
         };
         let hierarchy = |of: &[bool]| {
             let boxes = scene.triangles().iter().map(|t| t.bounds()).collect();
-            let items = (0..triangles.len() as u32).filter(|i| of[*i as usize]).collect();
+            let items = (0..triangles.len() as u32)
+                .filter(|i| of[*i as usize])
+                .collect();
             Bvh::new(boxes, items)
         };
         let hierarchies = || {
-            let targets = shown.map(|is_target| Targets { bvh: hierarchy(&is_target), is_target });
+            let targets = shown.map(|is_target| Targets {
+                bvh: hierarchy(&is_target),
+                is_target,
+            });
             (hierarchy(&solid), targets)
         };
-        let ((occluders, of, turned, boundary_edges), (bvh, targets)) = rayon::join(joined, hierarchies);
+        let ((occluders, of, turned, boundary_edges), (bvh, targets)) =
+            rayon::join(joined, hierarchies);
         let b = scene.bounds();
         let reach = f64::from(b.min.abs().max(b.max.abs()).max_element());
-        Ok(Self { triangles, occluders, of, turned, boundary_edges, corners, bvh, targets, reach })
+        Ok(Self {
+            triangles,
+            occluders,
+            of,
+            turned,
+            boundary_edges,
+            corners,
+            bvh,
+            targets,
+            reach,
+        })
     }
 
     /// A triangle's vertices.
@@ -118,7 +134,8 @@ impl Occluders {
     pub fn passed(&self, triangle: u32, front: bool) -> Option<(OccluderId, bool)> {
         // Down the z axis, (0, 0, −1; 0, 0, 0), with an edge around it from x to y, (−1, 1, 0; 0, 0, 1): K =
         // −1.
-        self.of(triangle).map(|id| (id, front != self.turned[triangle as usize]))
+        self.of(triangle)
+            .map(|id| (id, front != self.turned[triangle as usize]))
     }
 
     /// An occluder.

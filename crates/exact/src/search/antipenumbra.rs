@@ -58,7 +58,9 @@ pub enum NoAntipenumbra {
     #[error("one polygon bounds no light; give at least two")]
     Single,
     /// The edges do not bound a cone.
-    #[error("the edges of the polygons do not bound line space: give polygons in at least two planes")]
+    #[error(
+        "the edges of the polygons do not bound line space: give polygons in at least two planes"
+    )]
     Unbounded,
     /// More edges than the representation holds.
     #[error("the polygons have too many edges for swaths")]
@@ -81,8 +83,11 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
     let mut space = Space::new(Frame::world());
     let directed: Vec<(&Polygon, Ordering)> = portals.iter().zip(towards).collect();
     let lines = edges(&mut space, &directed);
-    let of: Vec<EdgeOf> =
-        portals.iter().enumerate().flat_map(|(k, p)| (0..p.points().len()).map(move |i| [k, i])).collect();
+    let of: Vec<EdgeOf> = portals
+        .iter()
+        .enumerate()
+        .flat_map(|(k, p)| (0..p.points().len()).map(move |i| [k, i]))
+        .collect();
     let cone = Cone::of(&mut space, &lines)?;
     let faces = Faces::of(&cone.region);
     let search = Search::new(&mut space, &cone);
@@ -93,8 +98,9 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
     // The rays of each face that is the trace of a swath, with the extremal lines at its ends.
     let mut traces: Vec<(Vec<usize>, [Crossing; 2])> = Vec::new();
     if cone.shared.is_some() {
-        let lines: Vec<Option<Crossing>> =
-            (0..cone.region.rays.len()).map(|ray| search.of_ray(ray, &mut found.lines)).collect();
+        let lines: Vec<Option<Crossing>> = (0..cone.region.rays.len())
+            .map(|ray| search.of_ray(ray, &mut found.lines))
+            .collect();
         for [i, j] in &faces.edges {
             if let (Some(a), Some(b)) = (lines[*i], lines[*j]) {
                 traces.push((vec![*i, *j], [a, b]));
@@ -115,13 +121,19 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
             let mut is_up_after = None;
             for k in 0..n {
                 let (i, j) = (around[k], around[(k + 1) % n]);
-                let on = crossings.get(&[i.min(j), i.max(j)]).map_or(&[][..], Vec::as_slice);
+                let on = crossings
+                    .get(&[i.min(j), i.max(j)])
+                    .map_or(&[][..], Vec::as_slice);
                 // One crossing changes the sign to that of the next ray, two change it and back.
                 if !on.is_empty() {
                     is_up_after.get_or_insert(search.is_up(j) != (on.len() == 2));
                 }
                 // In the direction of the walk.
-                if i < j { points.extend(on) } else { points.extend(on.iter().rev()) }
+                if i < j {
+                    points.extend(on)
+                } else {
+                    points.extend(on.iter().rev())
+                }
             }
             let arcs = arcs(&points, is_up_after.unwrap_or(true));
             traces.extend(arcs.into_iter().map(|ends| (face.clone(), ends)));
@@ -129,7 +141,9 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
     }
     let mut loops = UnionFind::new(found.lines);
     for (face, [a, b]) in &traces {
-        let tight: Tight = face.iter().fold(Tight::MAX, |all, ray| all & cone.region.rays[*ray].1);
+        let tight: Tight = face
+            .iter()
+            .fold(Tight::MAX, |all, ray| all & cone.region.rays[*ray].1);
         let is_tight = |k: usize| tight >> k & 1 == 1;
         let touched: Vec<EdgeOf> = cone
             .halves
@@ -141,13 +155,26 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
         if is_boundary {
             loops.join(a.number as u32, b.number as u32);
         }
-        found.swaths.push(Swath { surface, is_boundary, in_loop: None, edges: touched });
+        found.swaths.push(Swath {
+            surface,
+            is_boundary,
+            in_loop: None,
+            edges: touched,
+        });
     }
     let mut numbers: BTreeMap<u32, usize> = BTreeMap::new();
-    for (swath, (_, [line, _])) in found.swaths.iter_mut().zip(&traces).filter(|(swath, _)| swath.is_boundary)
+    for (swath, (_, [line, _])) in found
+        .swaths
+        .iter_mut()
+        .zip(&traces)
+        .filter(|(swath, _)| swath.is_boundary)
     {
         let next = numbers.len();
-        swath.in_loop = Some(*numbers.entry(loops.root(line.number as u32)).or_insert(next));
+        swath.in_loop = Some(
+            *numbers
+                .entry(loops.root(line.number as u32))
+                .or_insert(next),
+        );
     }
     Ok(found)
 }
@@ -178,24 +205,43 @@ impl Cone {
             let Some(at) = shared.iter().position(|c| !c.is_zero()) else {
                 return Err(NoAntipenumbra::Unbounded);
             };
-            let across = std::array::from_fn(|k| if k == (at + 3) % 6 { IBig::ONE } else { IBig::ZERO });
+            let across = std::array::from_fn(|k| {
+                if k == (at + 3) % 6 {
+                    IBig::ONE
+                } else {
+                    IBig::ZERO
+                }
+            });
             first.push((space.fixed(across), Ordering::Greater));
             halves.push(None);
         }
-        let first: [(VectorId, Ordering); 6] = first.try_into().map_err(|_| NoAntipenumbra::Unbounded)?;
-        let mut region =
-            Region { rays: space.dual_simplex(first), halves: first.map(|(line, _)| line).into() };
+        let first: [(VectorId, Ordering); 6] =
+            first.try_into().map_err(|_| NoAntipenumbra::Unbounded)?;
+        let mut region = Region {
+            rays: space.dual_simplex(first),
+            halves: first.map(|(line, _)| line).into(),
+        };
         basis.sort_unstable();
         let mut sides = Vec::new();
-        for (k, (line, keep)) in lines.iter().enumerate().filter(|(k, _)| basis.binary_search(k).is_err()) {
+        for (k, (line, keep)) in lines
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| basis.binary_search(k).is_err())
+        {
             if region.halves.len() >= MOST_HALVES {
                 return Err(NoAntipenumbra::TooComplex);
             }
             region.sides(space, *line, &mut sides);
             if sides.contains(&keep.reverse()) {
-                let parts = region.split(space, *line, &sides).map_err(|_| NoAntipenumbra::TooComplex)?;
+                let parts = region
+                    .split(space, *line, &sides)
+                    .map_err(|_| NoAntipenumbra::TooComplex)?;
                 let [less, greater] = parts;
-                region = if *keep == Ordering::Less { less } else { greater };
+                region = if *keep == Ordering::Less {
+                    less
+                } else {
+                    greater
+                };
             } else {
                 region = region.within(*line, &sides);
             }
@@ -205,7 +251,11 @@ impl Cone {
         if shared.is_some() {
             region.rays.retain(|(_, tight)| tight >> 5 & 1 == 1);
         }
-        Ok(Self { region, halves, shared })
+        Ok(Self {
+            region,
+            halves,
+            shared,
+        })
     }
 }
 
@@ -215,9 +265,13 @@ fn independent(space: &mut Space, lines: &[(VectorId, Ordering)]) -> Vec<usize> 
     for (k, (line, _)) in lines.iter().enumerate() {
         let mut row = space.exact(*line).clone();
         for known in &rows {
-            let Some(at) = known.iter().position(|c| !c.is_zero()) else { continue };
+            let Some(at) = known.iter().position(|c| !c.is_zero()) else {
+                continue;
+            };
             let (a, b) = (known[at].clone(), row[at].clone());
-            row.iter_mut().zip(known).for_each(|(x, y)| *x = &*x * &a - y * &b);
+            row.iter_mut()
+                .zip(known)
+                .for_each(|(x, y)| *x = &*x * &a - y * &b);
         }
         if row.iter().any(|c| !c.is_zero()) {
             crate::arithmetic::number::primitive(&mut row);
@@ -240,7 +294,9 @@ impl Faces {
     fn of(region: &Region) -> Self {
         let rays = &region.rays;
         let on = |tight: Tight| -> Vec<usize> {
-            (0..rays.len()).filter(|k| rays[*k].1 & tight == tight).collect()
+            (0..rays.len())
+                .filter(|k| rays[*k].1 & tight == tight)
+                .collect()
         };
         let (mut edges, mut faces) = (BTreeSet::new(), BTreeSet::new());
         for i in 0..rays.len() {
@@ -251,8 +307,10 @@ impl Faces {
                 }
                 edges.insert([i, j]);
                 // The faces above an edge have the largest sets that are tight at a third ray as well.
-                let with: BTreeSet<Tight> =
-                    (0..rays.len()).filter(|k| *k != i && *k != j).map(|k| common & rays[k].1).collect();
+                let with: BTreeSet<Tight> = (0..rays.len())
+                    .filter(|k| *k != i && *k != j)
+                    .map(|k| common & rays[k].1)
+                    .collect();
                 let is_largest = |t: &Tight| !with.iter().any(|o| o != t && o & t == *t);
                 faces.extend(with.iter().filter(|t| is_largest(t)).map(|t| on(*t)));
             }
@@ -264,8 +322,9 @@ impl Faces {
     fn around(&self, face: &[usize]) -> Vec<usize> {
         let mut order = vec![face[0]];
         while let Some(last) = order.last().copied() {
-            let is_next =
-                |k: &&usize| !order.contains(k) && self.edges.contains(&[last.min(**k), last.max(**k)]);
+            let is_next = |k: &&usize| {
+                !order.contains(k) && self.edges.contains(&[last.min(**k), last.max(**k)])
+            };
             match face.iter().find(is_next) {
                 Some(next) => order.push(*next),
                 None => break,
@@ -294,7 +353,9 @@ fn arcs(around: &[Crossing], is_up_after: bool) -> Vec<[Crossing; 2]> {
         (klein(&across, &across) > 0.0) == is_up_after
     };
     let shift = usize::from(is_one_piece);
-    (0..n / 2).map(|k| [around[(2 * k + shift) % n], around[(2 * k + 1 + shift) % n]]).collect()
+    (0..n / 2)
+        .map(|k| [around[(2 * k + shift) % n], around[(2 * k + 1 + shift) % n]])
+        .collect()
 }
 
 struct Search {
@@ -310,7 +371,14 @@ impl Search {
         let ids: Vec<VectorId> = cone.region.rays.iter().map(|(ray, _)| *ray).collect();
         let rays: Vec<[IBig; 6]> = ids.iter().map(|ray| space.exact(*ray).clone()).collect();
         let near = rays.iter().map(rounded).collect();
-        Self { rays, near, shared: cone.shared.as_ref().map(|line| (line.clone(), rounded(line))) }
+        Self {
+            rays,
+            near,
+            shared: cone
+                .shared
+                .as_ref()
+                .map(|line| (line.clone(), rounded(line))),
+        }
     }
 
     /// The extremal line of a ray of the quotient; `None` where it is at infinity.
@@ -320,12 +388,17 @@ impl Search {
             return None;
         }
         *lines += 1;
-        Some(Crossing { number: *lines - 1, line: self.on_quadric(&self.near[ray]) })
+        Some(Crossing {
+            number: *lines - 1,
+            line: self.on_quadric(&self.near[ray]),
+        })
     }
 
     /// The vector x + tl on the quadric.
     fn on_quadric(&self, x: &[f64; 6]) -> [f64; 6] {
-        let Some((_, shared)) = &self.shared else { return *x };
+        let Some((_, shared)) = &self.shared else {
+            return *x;
+        };
         let t = -klein(x, x) / (2.0 * klein(x, shared));
         scaled(&std::array::from_fn(|k| x[k] + shared[k] * t))
     }
@@ -341,7 +414,11 @@ impl Search {
         let (u, v) = (&self.rays[i], &self.rays[j]);
         let [uu, uv, vv] = [klein_exact(u, u), klein_exact(u, v), klein_exact(v, v)];
         let is_up = |x: &IBig| sign(x) != Ordering::Less;
-        debug_assert_eq!((is_up(&uu), is_up(&vv)), (self.is_up(i), self.is_up(j)), "the same signs");
+        debug_assert_eq!(
+            (is_up(&uu), is_up(&vv)),
+            (self.is_up(i), self.is_up(j)),
+            "the same signs"
+        );
         let count = if is_up(&uu) != is_up(&vv) {
             1
         } else if is_up(&uv) != is_up(&uu) && sign(&(&uv * &uv - &uu * &vv)) == Ordering::Greater {
@@ -358,15 +435,31 @@ impl Search {
         let t = -(q + root.copysign(q));
         let mut roots = [t / p, r / t];
         roots.sort_by(f64::total_cmp);
-        let line = |s: f64| -> [f64; 6] { scaled(&std::array::from_fn(|k| a[k] * (1.0 - s) + b[k] * s)) };
+        let line =
+            |s: f64| -> [f64; 6] { scaled(&std::array::from_fn(|k| a[k] * (1.0 - s) + b[k] * s)) };
         let within = |s: f64| (s - 0.5).abs();
         if count == 1 {
-            let s =
-                if within(roots[0]) < within(roots[1]) || roots[1].is_nan() { roots[0] } else { roots[1] };
-            return vec![Crossing { number, line: line(s.clamp(0.0, 1.0)) }];
+            let s = if within(roots[0]) < within(roots[1]) || roots[1].is_nan() {
+                roots[0]
+            } else {
+                roots[1]
+            };
+            return vec![Crossing {
+                number,
+                line: line(s.clamp(0.0, 1.0)),
+            }];
         }
         let both = roots.map(|s| s.clamp(0.0, 1.0));
-        vec![Crossing { number, line: line(both[0]) }, Crossing { number: number + 1, line: line(both[1]) }]
+        vec![
+            Crossing {
+                number,
+                line: line(both[0]),
+            },
+            Crossing {
+                number: number + 1,
+                line: line(both[1]),
+            },
+        ]
     }
 
     /// Whether a swath bounds the lit space, and its surface.
@@ -385,16 +478,28 @@ impl Search {
         let line = if self.shared.is_some() {
             self.on_quadric(&middle)
         } else {
-            let inner: [f64; 6] = std::array::from_fn(|k| face.iter().map(|ray| self.near[*ray][k]).sum());
-            let (c, m, e) = (klein(&middle, &middle), klein(&middle, &inner), klein(&inner, &inner));
+            let inner: [f64; 6] =
+                std::array::from_fn(|k| face.iter().map(|ray| self.near[*ray][k]).sum());
+            let (c, m, e) = (
+                klein(&middle, &middle),
+                klein(&middle, &inner),
+                klein(&inner, &inner),
+            );
             let root = (m * m - c * e).max(0.0).sqrt();
             let t = -(m + root.copysign(m));
             let steps = [t / e, c / t];
-            let step = if steps[0].abs() < steps[1].abs() || steps[1].is_nan() { steps[0] } else { steps[1] };
+            let step = if steps[0].abs() < steps[1].abs() || steps[1].is_nan() {
+                steps[0]
+            } else {
+                steps[1]
+            };
             let step = if step.is_finite() { step } else { 0.0 };
             std::array::from_fn(|k| middle[k] + inner[k] * step)
         };
-        (!are_contained(portals, touched, &line), Surface::Quadric(quadric_of(portals, touched)))
+        (
+            !are_contained(portals, touched, &line),
+            Surface::Quadric(quadric_of(portals, touched)),
+        )
     }
 }
 
@@ -408,7 +513,11 @@ fn rounded(of: &[IBig; 6]) -> [f64; 6] {
 
 fn scaled(of: &[f64; 6]) -> [f64; 6] {
     let most = of.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    if most > 0.0 { of.map(|c| c / most) } else { *of }
+    if most > 0.0 {
+        of.map(|c| c / most)
+    } else {
+        *of
+    }
 }
 
 #[cfg(test)]
@@ -421,17 +530,31 @@ mod tests {
         let vector = |x: f64, y: f64| [x, y, 1.2, x / 2.0, y / 2.0, -0.6];
         let at = 0.44f64.sqrt();
         // From the corner (1, 1) on: two crossings on each side.
-        let all =
-            [(at, 1.0), (-at, 1.0), (-1.0, at), (-1.0, -at), (-at, -1.0), (at, -1.0), (1.0, -at), (1.0, at)];
-        let crossings: Vec<Crossing> =
-            (0..8).map(|number| Crossing { number, line: vector(all[number].0, all[number].1) }).collect();
+        let all = [
+            (at, 1.0),
+            (-at, 1.0),
+            (-1.0, at),
+            (-1.0, -at),
+            (-at, -1.0),
+            (at, -1.0),
+            (1.0, -at),
+            (1.0, at),
+        ];
+        let crossings: Vec<Crossing> = (0..8)
+            .map(|number| Crossing {
+                number,
+                line: vector(all[number].0, all[number].1),
+            })
+            .collect();
         let around_corners = [[1, 2], [3, 4], [5, 6], [7, 0]];
         for first in 0..8 {
             let mut turned = crossings.clone();
             turned.rotate_left(first);
             // Between the two on a side the border is inside the circle.
-            let mut found: Vec<[usize; 2]> =
-                arcs(&turned, first % 2 == 1).iter().map(|[a, b]| [a.number, b.number]).collect();
+            let mut found: Vec<[usize; 2]> = arcs(&turned, first % 2 == 1)
+                .iter()
+                .map(|[a, b]| [a.number, b.number])
+                .collect();
             found.sort_unstable();
             assert_eq!(found, around_corners, "from {first} on");
         }

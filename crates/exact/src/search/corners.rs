@@ -19,7 +19,9 @@ pub struct Corners {
 impl Corners {
     /// An empty table.
     pub fn new() -> Self {
-        Self { known: with_room(64) }
+        Self {
+            known: with_room(64),
+        }
     }
 
     /// A corner at a world position as a point of the space.
@@ -34,7 +36,13 @@ impl Corners {
     }
 
     /// On which sides of A's plane and of B's a corner lies.
-    pub fn sides(&mut self, space: &mut Space, pair: &Pair, number: u32, at: Vec3) -> [Ordering; 2] {
+    pub fn sides(
+        &mut self,
+        space: &mut Space,
+        pair: &Pair,
+        number: u32,
+        at: Vec3,
+    ) -> [Ordering; 2] {
         let point = self.point(space, number, at);
         if let Some((_, Some(sides))) = self.known.get(&number) {
             return *sides;

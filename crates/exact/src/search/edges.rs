@@ -32,7 +32,10 @@ pub struct EdgeLines {
 impl EdgeLines {
     /// An empty table.
     pub fn new() -> Self {
-        Self { edges: with_room(64), buckets: with_room(64) }
+        Self {
+            edges: with_room(64),
+            buckets: with_room(64),
+        }
     }
 
     /// The lines of a border, given by numbers of corners and by positions.
@@ -43,7 +46,11 @@ impl EdgeLines {
         border: &[[u32; 2]],
         ends: &[[Vec3; 2]],
     ) -> Vec<Edge> {
-        border.iter().zip(ends).map(|(numbers, at)| self.edge(space, corners, *numbers, *at)).collect()
+        border
+            .iter()
+            .zip(ends)
+            .map(|(numbers, at)| self.edge(space, corners, *numbers, *at))
+            .collect()
     }
 
     fn edge(
@@ -54,9 +61,16 @@ impl EdgeLines {
         [p, q]: [Vec3; 2],
     ) -> Edge {
         let back = numbers[0] > numbers[1];
-        let key = if back { [numbers[1], numbers[0]] } else { numbers };
+        let key = if back {
+            [numbers[1], numbers[0]]
+        } else {
+            numbers
+        };
         if let Some((line, flipped)) = self.edges.get(&key) {
-            return Edge { line: *line, flipped: *flipped != back };
+            return Edge {
+                line: *line,
+                flipped: *flipped != back,
+            };
         }
         let a = corners.point(space, numbers[0], p);
         let b = corners.point(space, numbers[1], q);
@@ -69,7 +83,10 @@ impl EdgeLines {
         let (line, flipped) = match same {
             Some((line, other)) => (*line, !same_way(*other, [p, q])),
             None => {
-                self.buckets.entry(fingerprint).or_default().push((new, [p, q]));
+                self.buckets
+                    .entry(fingerprint)
+                    .or_default()
+                    .push((new, [p, q]));
                 (new, false)
             }
         };
@@ -80,5 +97,7 @@ impl EdgeLines {
 
 /// Whether two edges on one line run the same way.
 fn same_way(e: [Vec3; 2], f: [Vec3; 2]) -> bool {
-    (0..3).all(|k| (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k]))
+    (0..3).all(|k| {
+        (f[1][k] > f[0][k]) == (e[1][k] > e[0][k]) && (f[1][k] < f[0][k]) == (e[1][k] < e[0][k])
+    })
 }

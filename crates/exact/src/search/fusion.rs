@@ -32,15 +32,24 @@ impl Local<'_> {
         }
         let mut border = std::mem::take(&mut self.border);
         border.clear();
-        let first = OrientedOccluder { id, reversed: false };
+        let first = OrientedOccluder {
+            id,
+            reversed: false,
+        };
         let mut members = vec![first];
         self.join(scene, &mut border, first, negative);
         let (mut most, mut best) = (held, 1);
         while most < all && members.len() < MOST_MEMBERS.min(best + best.max(IN_VAIN)) {
-            let Some(next) = self.beyond(scene, &mut border, &members, all) else { break };
+            let Some(next) = self.beyond(scene, &mut border, &members, all) else {
+                break;
+            };
             members.push(next);
             self.join(scene, &mut border, next, negative);
-            let held = count(border.iter().fold(every, |all, limit| both(all, limit.inside)));
+            let held = count(
+                border
+                    .iter()
+                    .fold(every, |all, limit| both(all, limit.inside)),
+            );
             // Two sides of one sheet have no border and block nothing together.
             if held > most && !border.is_empty() {
                 (most, best) = (held, members.len());
@@ -72,7 +81,12 @@ impl Local<'_> {
                 border.remove(other);
             } else {
                 let inside = self.side_bitsets.inside(&self.forms, edge, negative);
-                border.push(Limit { edge, inside, count: count(inside), last: false });
+                border.push(Limit {
+                    edge,
+                    inside,
+                    count: count(inside),
+                    last: false,
+                });
             }
         }
     }
@@ -87,12 +101,18 @@ impl Local<'_> {
         all: u32,
     ) -> Option<OrientedOccluder> {
         loop {
-            let limit = border.iter_mut().filter(|l| !l.last && l.count < all).min_by_key(|l| l.count)?;
+            let limit = border
+                .iter_mut()
+                .filter(|l| !l.last && l.count < all)
+                .min_by_key(|l| l.count)?;
             for (id, back) in scene.boundary_edges().sharing(limit.edge.number) {
                 if !members.iter().any(|m| m.id == *id) && self.is_between(scene, *id) {
                     // The borders must run along the edge in opposite directions, so an occluder that runs
                     // the same way is reversed.
-                    return Some(OrientedOccluder { id: *id, reversed: *back == limit.edge.back() });
+                    return Some(OrientedOccluder {
+                        id: *id,
+                        reversed: *back == limit.edge.back(),
+                    });
                 }
             }
             limit.last = true;
@@ -109,7 +129,10 @@ impl Local<'_> {
         let lines = self.border_lines(&edges, &border);
         let lines = lines_of(&lines, &edges, &self.side_bitsets);
         let at = (!lines.is_empty()).then(|| {
-            self.known.push(Constraints { members: members.clone(), lines });
+            self.known.push(Constraints {
+                members: members.clone(),
+                lines,
+            });
             self.known.len() - 1
         });
         self.patches.insert(members, at);

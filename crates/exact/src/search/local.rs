@@ -50,12 +50,26 @@ pub struct Extent {
 }
 
 /// The lines of a border, one constraint for each.
-pub fn lines_of(edges: &[Edge], border: &[[u32; 2]], side_bitsets: &SideBitsets) -> Vec<Constraint> {
+pub fn lines_of(
+    edges: &[Edge],
+    border: &[[u32; 2]],
+    side_bitsets: &SideBitsets,
+) -> Vec<Constraint> {
     let mut lines: Vec<Constraint> = Vec::with_capacity(edges.len() + 2);
     for (number, (e, corners)) in edges.iter().zip(border).enumerate() {
-        if !lines.iter().any(|l| l.line == e.line && l.flipped == e.flipped) {
-            let row = side_bitsets.line(*corners).map(|row| (row, corners[0] > corners[1]));
-            lines.push(Constraint { line: e.line, flipped: e.flipped, number: number as u16, row });
+        if !lines
+            .iter()
+            .any(|l| l.line == e.line && l.flipped == e.flipped)
+        {
+            let row = side_bitsets
+                .line(*corners)
+                .map(|row| (row, corners[0] > corners[1]));
+            lines.push(Constraint {
+                line: e.line,
+                flipped: e.flipped,
+                number: number as u16,
+                row,
+            });
         }
     }
     lines
@@ -126,7 +140,8 @@ impl Local<'_> {
 
     /// The lines of a border, given by numbers of corners and by positions.
     pub fn border_lines(&mut self, border: &[[u32; 2]], ends: &[[Vec3; 2]]) -> Vec<Edge> {
-        self.lines.border(&mut self.space, &mut self.corners, border, ends)
+        self.lines
+            .border(&mut self.space, &mut self.corners, border, ends)
     }
 
     /// A triangle's corners as points of the space.
@@ -144,7 +159,9 @@ impl Local<'_> {
         let mut extent = Extent::default();
         let occluder = scene.occluder(id);
         for (number, at) in occluder.edges.iter().zip(&occluder.border) {
-            let sides = self.corners.sides(&mut self.space, &self.pair, number[0], at[0]);
+            let sides = self
+                .corners
+                .sides(&mut self.space, &self.pair, number[0], at[0]);
             for k in 0..2 {
                 extent.within[k] |= sides[k] == good[k];
                 extent.beyond[k] |= sides[k] == good[k].reverse();
@@ -166,27 +183,46 @@ impl Local<'_> {
             return None;
         }
         let occluder = scene.occluder(id);
-        let planes = [(self.pair.a.clone(), self.pair.ahead), (self.pair.b.clone(), self.pair.behind)];
+        let planes = [
+            (self.pair.a.clone(), self.pair.ahead),
+            (self.pair.b.clone(), self.pair.behind),
+        ];
         let edges = self.border_lines(&occluder.edges, &occluder.border);
         let mut lines = lines_of(&edges, &occluder.edges, &self.side_bitsets);
         if beyond.contains(&true) {
-            let OccluderTriangle { triangle, reversed: turned } = occluder.triangles[0];
+            let OccluderTriangle {
+                triangle,
+                reversed: turned,
+            } = occluder.triangles[0];
             let points = self.corner_points(scene, triangle);
             let own = Through { points, turned };
             for (k, (plane, good)) in planes.iter().enumerate() {
                 if !beyond[k] {
                     continue;
                 }
-                let toward =
-                    Through { points: [plane[0], plane[1], plane[2]], turned: *good == Ordering::Less };
+                let toward = Through {
+                    points: [plane[0], plane[1], plane[2]],
+                    turned: *good == Ordering::Less,
+                };
                 // The part of the occluder on the good side is to the left of n_plane × n_own, seen from
                 // n_own's side.
                 let line = self.space.meet(toward, own);
                 let number = (occluder.border.len() + k) as u16;
-                lines.push(Constraint { line, flipped: false, number, row: None });
+                lines.push(Constraint {
+                    line,
+                    flipped: false,
+                    number,
+                    row: None,
+                });
             }
         }
-        self.known.push(Constraints { members: vec![OrientedOccluder { id, reversed: false }], lines });
+        self.known.push(Constraints {
+            members: vec![OrientedOccluder {
+                id,
+                reversed: false,
+            }],
+            lines,
+        });
         Some(self.known.len() - 1)
     }
 }
@@ -200,7 +236,10 @@ pub fn triangles(scene: &Occluders, members: &[OrientedOccluder]) -> Vec<Occlude
                 .occluder(of.id)
                 .triangles
                 .iter()
-                .map(move |t| OccluderTriangle { triangle: t.triangle, reversed: t.reversed != of.reversed })
+                .map(move |t| OccluderTriangle {
+                    triangle: t.triangle,
+                    reversed: t.reversed != of.reversed,
+                })
         })
         .collect()
 }

@@ -25,7 +25,12 @@ use crate::search::verdict::{Cost, Limits, Reason, Verdict};
 use sightline_certificate::proof::{Proof, Step, Which};
 
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
-pub fn sightlines(scene: &Occluders, a: &[Polygon], b: &[Polygon], limits: &Limits) -> (Verdict, Cost) {
+pub fn sightlines(
+    scene: &Occluders,
+    a: &[Polygon],
+    b: &[Polygon],
+    limits: &Limits,
+) -> (Verdict, Cost) {
     sightlines_until(scene, (a, b), limits, &|| false)
 }
 
@@ -117,7 +122,8 @@ impl Search<'_> {
         // The steps of a failed attempt are no part of the proof.
         self.proof.steps.truncate(before.0);
         self.proof.occluders.truncate(before.1);
-        self.numbers.retain(|_, number| (*number as usize) < before.1);
+        self.numbers
+            .retain(|_, number| (*number as usize) < before.1);
         if depth == self.limits.divisions {
             return Err(End::Open(Reason::Divisions));
         }
@@ -125,7 +131,11 @@ impl Search<'_> {
         let (of, [from, to]) = widest(&a.0, &b.0);
         self.proof.steps.push(Step::Divide { of, from, to });
         let mut result = Ok(());
-        let (whole, other) = if of == Which::A { (&a.0, &b.0) } else { (&b.0, &a.0) };
+        let (whole, other) = if of == Which::A {
+            (&a.0, &b.0)
+        } else {
+            (&b.0, &a.0)
+        };
         for half in whole.divided(from, to) {
             let sides = other.sides(&half);
             // The half lies in the plane of the whole, but its normal may be reversed.
@@ -149,7 +159,8 @@ impl Search<'_> {
     ) -> Result<Result<(), Stuck>, End> {
         let (near_a, near_b) = (a.0.rounded(), b.0.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
-        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1)) else {
+        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (&a.0, &a.1), (&b.0, &b.1))
+        else {
             return Ok(Err(Stuck));
         };
         let regions = std::mem::take(&mut pair.regions);
@@ -189,10 +200,18 @@ impl Search<'_> {
             if found.is_none() && splits < self.limits.splits {
                 splits += 1;
                 self.cost.splits += 1;
-                found = polar::split(&mut local.space, &region)
-                    .map(|(polar, parts)| (Step::Split { polar: Box::new(polar) }, parts.into()));
+                found = polar::split(&mut local.space, &region).map(|(polar, parts)| {
+                    (
+                        Step::Split {
+                            polar: Box::new(polar),
+                        },
+                        parts.into(),
+                    )
+                });
             }
-            let Some((step, outside)) = found else { return Ok(Err(Stuck)) };
+            let Some((step, outside)) = found else {
+                return Ok(Err(Stuck));
+            };
             self.proof.steps.push(step);
             // The first part is processed next.
             open.extend(outside.into_iter().rev());
@@ -209,7 +228,9 @@ impl Search<'_> {
         lines: &[[f64; 6]],
     ) -> Result<Option<Found>, End> {
         for line in lines {
-            let Some(ends) = local.snap(line) else { continue };
+            let Some(ends) = local.snap(line) else {
+                continue;
+            };
             if let Some(found) = self.follow(local, region, ends)? {
                 return Ok(Some(found));
             }
@@ -218,9 +239,17 @@ impl Search<'_> {
     }
 
     /// As [`Search::feed_back`], for a region too thin for doubles.
-    fn feed_back_precisely(&mut self, local: &mut Local<'_>, region: &Region) -> Result<Option<Found>, End> {
-        let Some(line) = klein::precise(&mut local.space, region) else { return Ok(None) };
-        let Some(ends) = local.snap_precisely(&line) else { return Ok(None) };
+    fn feed_back_precisely(
+        &mut self,
+        local: &mut Local<'_>,
+        region: &Region,
+    ) -> Result<Option<Found>, End> {
+        let Some(line) = klein::precise(&mut local.space, region) else {
+            return Ok(None);
+        };
+        let Some(ends) = local.snap_precisely(&line) else {
+            return Ok(None);
+        };
         self.follow(local, region, ends)
     }
 
@@ -235,12 +264,17 @@ impl Search<'_> {
         match local.trace(self.scene, (p.0, q.0), (p.1, q.1)) {
             Met::Nothing => {
                 self.cost.decisions += local.space.decisions;
-                Err(End::Seen(Box::new([local.source(p.0, 0), local.source(q.0, 1)])))
+                Err(End::Seen(Box::new([
+                    local.source(p.0, 0),
+                    local.source(q.0, 1),
+                ])))
             }
             Met::Grazing => Ok(None),
             Met::Blocked(triangles) => {
-                let mut met: Vec<(OccluderId, bool)> =
-                    triangles.iter().filter_map(|(t, front)| self.scene.passed(*t, *front)).collect();
+                let mut met: Vec<(OccluderId, bool)> = triangles
+                    .iter()
+                    .filter_map(|(t, front)| self.scene.passed(*t, *front))
+                    .collect();
                 met.sort_unstable();
                 met.dedup_by_key(|m| m.0);
                 Ok(self.subtract_best(local, region, &met))
@@ -264,7 +298,9 @@ impl Search<'_> {
         }
         ranked.sort_by(|x, y| {
             let edges = |o: OccluderId| self.scene.occluder(o).border.len();
-            y.2.cmp(&x.2).then(edges(x.0).cmp(&edges(y.0))).then(x.0.cmp(&y.0))
+            y.2.cmp(&x.2)
+                .then(edges(x.0).cmp(&edges(y.0)))
+                .then(x.0.cmp(&y.0))
         });
         for (id, negative, held) in ranked {
             let fused = local.fuse(self.scene, (id, negative, held));
@@ -275,7 +311,14 @@ impl Search<'_> {
                 if let Some((known, (cuts, outside))) = taken {
                     self.cost.occluders += 1;
                     let occluder = self.number(&local.known[known].members);
-                    return Some((Step::Block { occluder, negative, cuts }, outside));
+                    return Some((
+                        Step::Block {
+                            occluder,
+                            negative,
+                            cuts,
+                        },
+                        outside,
+                    ));
                 }
             }
         }

@@ -43,7 +43,10 @@ impl BoundaryEdge {
 
     /// The same edge run along the other way.
     pub fn reversed(self) -> Self {
-        Self { corners: [self.corners[1], self.corners[0]], ..self }
+        Self {
+            corners: [self.corners[1], self.corners[0]],
+            ..self
+        }
     }
 }
 
@@ -128,19 +131,31 @@ impl SideBitsets {
                 Some(line) => *line,
                 None => {
                     let mut place = |k: usize| {
-                        *self.corners.entry(corners[k]).or_insert_with(|| frame.near(at[k].as_dvec3()))
+                        *self
+                            .corners
+                            .entry(corners[k])
+                            .or_insert_with(|| frame.near(at[k].as_dvec3()))
                     };
                     let (a, b) = (place(0), place(1));
-                    let (a, b) = if corners[0] > corners[1] { (b, a) } else { (a, b) };
+                    let (a, b) = if corners[0] > corners[1] {
+                        (b, a)
+                    } else {
+                        (a, b)
+                    };
                     let (d, m) = (b - a, a.cross(b));
-                    self.lines.push(normalised([d.x, d.y, d.z, m.x, m.y, m.z]).0);
+                    self.lines
+                        .push(normalised([d.x, d.y, d.z, m.x, m.y, m.z]).0);
                     self.rows.push(Row::default());
                     let line = (self.lines.len() - 1) as u32;
                     self.numbers.insert(key, line);
                     line
                 }
             };
-            self.edges.push(BoundaryEdge { number, corners: *corners, line });
+            self.edges.push(BoundaryEdge {
+                number,
+                corners: *corners,
+                line,
+            });
         }
         let range = from..self.edges.len();
         self.shapes.insert(id, range.clone());
@@ -163,7 +178,10 @@ impl SideBitsets {
         if self.rows[at].region != self.region {
             let line = self.lines[at];
             let sides = self.sides_of(forms, &line);
-            self.rows[at] = Row { region: self.region, sides };
+            self.rows[at] = Row {
+                region: self.region,
+                sides,
+            };
         }
         self.rows[at].sides
     }
@@ -189,7 +207,9 @@ impl SideBitsets {
     /// The number of the line between two corners, which runs from the lesser to the greater, if it is in the
     /// table.
     pub fn line(&self, corners: [u32; 2]) -> Option<u32> {
-        self.numbers.get(&[corners[0].min(corners[1]), corners[0].max(corners[1])]).copied()
+        self.numbers
+            .get(&[corners[0].min(corners[1]), corners[0].max(corners[1])])
+            .copied()
     }
 }
 

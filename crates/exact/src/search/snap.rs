@@ -54,7 +54,12 @@ impl Local<'_> {
         let s = ((w[1] * total) as i64).clamp(1, WEIGHTS as i64 - 2) as u64;
         let t = ((w[2] * total) as i64).clamp(1, (WEIGHTS - 1 - s) as i64) as u64;
         let weights = [WEIGHTS - s - t, s, t];
-        Some(self.mixed(end, i, weights.map(IBig::from), weights.map(|w| w as f64 / total)))
+        Some(self.mixed(
+            end,
+            i,
+            weights.map(IBig::from),
+            weights.map(|w| w as f64 / total),
+        ))
     }
 
     /// A point of the `i`-th triangle of a polygon's fan.
@@ -74,8 +79,15 @@ impl Local<'_> {
     }
 
     fn snap_end_precisely(&mut self, line: &[IBig; 6], end: usize) -> Option<Snapped> {
-        let ids = if end == 0 { self.pair.a.clone() } else { self.pair.b.clone() };
-        let corners: Vec<[IBig; 4]> = ids.iter().map(|i| self.space.point_exact(*i).clone()).collect();
+        let ids = if end == 0 {
+            self.pair.a.clone()
+        } else {
+            self.pair.b.clone()
+        };
+        let corners: Vec<[IBig; 4]> = ids
+            .iter()
+            .map(|i| self.space.point_exact(*i).clone())
+            .collect();
         let plane = predicates::plane([&corners[0], &corners[1], &corners[2]]);
         // x = (n × m + k d) / (n · d).
         let (d, m) = (&line[..3], &line[3..]);
@@ -91,7 +103,11 @@ impl Local<'_> {
         }
         // With a point `off` the plane, the determinants of (x, b, c, off), … are x's weights, times w.
         let off: [IBig; 4] = std::array::from_fn(|k| {
-            if k < 3 { &corners[0][k] + &plane[k] * &corners[0][3] } else { corners[0][3].clone() }
+            if k < 3 {
+                &corners[0][k] + &plane[k] * &corners[0][3]
+            } else {
+                corners[0][3].clone()
+            }
         });
         for i in 1..corners.len() - 1 {
             let of = [&corners[0], &corners[i], &corners[i + 1]];
@@ -101,7 +117,11 @@ impl Local<'_> {
                 predicates::determinant([with[0], with[1], with[2], &off]) * &of[k][3]
             });
             let total: IBig = parts.iter().sum();
-            if total.is_zero() || parts.iter().any(|p| predicates::sign(p) != predicates::sign(&total)) {
+            if total.is_zero()
+                || parts
+                    .iter()
+                    .any(|p| predicates::sign(p) != predicates::sign(&total))
+            {
                 continue;
             }
             let weights = parts.map(|p| ((p << FINE) / &total).max(IBig::ONE));
@@ -117,7 +137,10 @@ impl Local<'_> {
         let Place::Mix(of, weights) = &self.space.point_at(point).place else {
             unreachable!("witness ends are snapped points")
         };
-        let (polygon, ids) = (self.ends[end].0, if end == 0 { &self.pair.a } else { &self.pair.b });
+        let (polygon, ids) = (
+            self.ends[end].0,
+            if end == 0 { &self.pair.a } else { &self.pair.b },
+        );
         let corners = of.map(|o| {
             let i = ids.iter().position(|x| *x == o).unwrap_or(0);
             predicates::integers(&polygon.points()[i])

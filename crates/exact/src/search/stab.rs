@@ -45,7 +45,11 @@ pub enum Stabbed {
 /// Looks for a line strictly through the inside of each of the polygons, in order. There must be one.
 /// `stop` is called before every region and every cut of one; the search ends undecided when it returns true.
 pub fn stab(portals: &[Polygon], limits: &Limits, stop: &dyn Fn() -> bool) -> (Stabbed, Cost) {
-    let mut search = Search { limits, stop, cost: Cost::default() };
+    let mut search = Search {
+        limits,
+        stop,
+        cost: Cost::default(),
+    };
     let found = match portals {
         [] => Ok(()),
         [only] => return (Stabbed::Line(Box::new(across(only))), Cost::default()),
@@ -62,9 +66,15 @@ pub fn stab(portals: &[Polygon], limits: &Limits, stop: &dyn Fn() -> bool) -> (S
 /// The directions in which lines cross polygons in order, each towards a side of the polygon's plane; `None`
 /// when there are none, or several combinations of them.
 pub(super) fn directions(portals: &[Polygon], limits: &Limits) -> Option<Vec<Ordering>> {
-    let mut search = Search { limits, stop: &|| false, cost: Cost::default() };
+    let mut search = Search {
+        limits,
+        stop: &|| false,
+        cost: Cost::default(),
+    };
     let ways = search.directed(portals).ok()?;
-    <[Directed; 1]>::try_from(ways).ok().map(|[way]| way.towards)
+    <[Directed; 1]>::try_from(ways)
+        .ok()
+        .map(|[way]| way.towards)
 }
 
 /// A point inside a polygon, and one off its plane, on the side to which its normal points.
@@ -73,8 +83,13 @@ fn across(polygon: &Polygon) -> [Source; 2] {
     let [a, b, c] = &corners;
     let inside = mix([a, b, c], &[IBig::ONE, IBig::ONE, IBig::ONE]);
     let plane = polygon.plane();
-    let off =
-        std::array::from_fn(|k| if k < 3 { &inside[k] + &plane[k] * &inside[3] } else { inside[3].clone() });
+    let off = std::array::from_fn(|k| {
+        if k < 3 {
+            &inside[k] + &plane[k] * &inside[3]
+        } else {
+            inside[3].clone()
+        }
+    });
     [inside, off].map(|p| Source::Exact(Box::new(p)))
 }
 
@@ -112,7 +127,9 @@ impl Directed {
             for b in &all[k + 1..] {
                 let edge = cross(a, b);
                 for edge in [edge.each_ref().map(|c| -c), edge] {
-                    if all.iter().all(|n| dot(n, &edge) >= IBig::ZERO) && edge.iter().any(|c| !c.is_zero()) {
+                    if all.iter().all(|n| dot(n, &edge) >= IBig::ZERO)
+                        && edge.iter().any(|c| !c.is_zero())
+                    {
                         edges.push(edge);
                     }
                 }
@@ -120,7 +137,9 @@ impl Directed {
         }
         let is_pointed = |edges: &[[IBig; 3]]| {
             // Normals in one plane leave both directions across it.
-            !edges.iter().any(|e| edges.iter().any(|f| (0..3).all(|i| e[i] == -&f[i])))
+            !edges
+                .iter()
+                .any(|e| edges.iter().any(|f| (0..3).all(|i| e[i] == -&f[i])))
         };
         if all.len() < 3 || !edges.is_empty() && !is_pointed(&edges) {
             return true;
@@ -162,10 +181,18 @@ struct Search<'a> {
 impl Search<'_> {
     fn all(&mut self, portals: &[Polygon]) -> Result<(), End> {
         let mut open = None;
-        for Directed { polygons, towards, .. } in self.directed(portals)? {
-            let [first, middle @ .., last] = &polygons[..] else { continue };
-            let middle: Vec<(&Polygon, Ordering)> =
-                middle.iter().zip(&towards[1..]).map(|(p, t)| (p, *t)).collect();
+        for Directed {
+            polygons, towards, ..
+        } in self.directed(portals)?
+        {
+            let [first, middle @ .., last] = &polygons[..] else {
+                continue;
+            };
+            let middle: Vec<(&Polygon, Ordering)> = middle
+                .iter()
+                .zip(&towards[1..])
+                .map(|(p, t)| (p, *t))
+                .collect();
             // The ends have rays for each pair of their corners, and are searched in pieces of few.
             for a in first.clone().pieces() {
                 for b in last.clone().pieces() {
@@ -184,8 +211,11 @@ impl Search<'_> {
     /// is on the wrong side of its neighbours' planes. More than one arises where a polygon reaches through
     /// another's plane. Each step of a way counts as a region.
     fn directed(&mut self, portals: &[Polygon]) -> Result<Vec<Directed>, End> {
-        let mut ways =
-            vec![Directed { polygons: portals.to_vec(), towards: Vec::new(), normals: Vec::new() }];
+        let mut ways = vec![Directed {
+            polygons: portals.to_vec(),
+            towards: Vec::new(),
+            normals: Vec::new(),
+        }];
         let n = portals.len();
         for i in 0..n {
             let mut next = Vec::with_capacity(ways.len());
@@ -196,10 +226,20 @@ impl Search<'_> {
                 let mut up = [x, y, z];
                 primitive(&mut up);
                 let down = up.each_ref().map(|c| -c);
-                let greater = way.may_go(&up).then(|| cut(&way, portals, i, Ordering::Greater)).flatten();
-                let less = way.may_go(&down).then(|| cut(&way, portals, i, Ordering::Less)).flatten();
+                let greater = way
+                    .may_go(&up)
+                    .then(|| cut(&way, portals, i, Ordering::Greater))
+                    .flatten();
+                let less = way
+                    .may_go(&down)
+                    .then(|| cut(&way, portals, i, Ordering::Less))
+                    .flatten();
                 // Mostly there is one direction, and nothing is copied.
-                let other = if greater.is_some() && less.is_some() { Some(way.clone()) } else { None };
+                let other = if greater.is_some() && less.is_some() {
+                    Some(way.clone())
+                } else {
+                    None
+                };
                 match (greater, less) {
                     (Some(greater), less) => {
                         way.take((Ordering::Greater, up), greater);
@@ -224,7 +264,11 @@ impl Search<'_> {
         }
         // The first and the last polygon must be wholly on the right side of each other's planes, too.
         let fit = |mut way: Directed| {
-            let first = behind(&way.polygons[0], &portals[n - 1], way.towards[n - 1].reverse())?;
+            let first = behind(
+                &way.polygons[0],
+                &portals[n - 1],
+                way.towards[n - 1].reverse(),
+            )?;
             let last = behind(&way.polygons[n - 1], &portals[0], way.towards[0])?;
             way.polygons[0] = first;
             way.polygons[n - 1] = last;
@@ -273,7 +317,8 @@ impl Search<'_> {
         let (near_a, near_b) = (a.rounded(), b.rounded());
         let mut space = Space::new(Frame::around(&near_a, &near_b));
         let (a_sides, b_sides) = (b.sides(a), a.sides(b));
-        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (a, &a_sides), (b, &b_sides)) else {
+        let Ok(mut pair) = stabbing_polyhedron::stabbing(&mut space, (a, &a_sides), (b, &b_sides))
+        else {
             return Ok(Err(Stuck));
         };
         let edges = edges(&mut space, middle);
@@ -324,7 +369,9 @@ impl Search<'_> {
             }
             splits += 1;
             self.cost.splits += 1;
-            let Some((_, parts)) = polar::split(&mut ends.0.space, &region) else { return Ok(Err(Stuck)) };
+            let Some((_, parts)) = polar::split(&mut ends.0.space, &region) else {
+                return Ok(Err(Stuck));
+            };
             open.extend(parts);
         }
         Ok(Ok(()))
@@ -332,7 +379,9 @@ impl Search<'_> {
 
     /// Counts a region; ends the search at the limits.
     fn count(&mut self, vectors: usize) -> Result<(), End> {
-        self.cost.region(vectors, self.limits, self.stop).map_or(Ok(()), |reason| Err(End::Open(reason)))
+        self.cost
+            .region(vectors, self.limits, self.stop)
+            .map_or(Ok(()), |reason| Err(End::Open(reason)))
     }
 
     /// The part of a region whose lines pass all edges on the right sides; none if it has no inside. Each cut
@@ -353,7 +402,11 @@ impl Search<'_> {
                 let Ok([less, greater]) = region.split(&mut local.space, *edge, &sides) else {
                     return Ok(Err(Stuck));
                 };
-                region = if *keep == Ordering::Less { less } else { greater };
+                region = if *keep == Ordering::Less {
+                    less
+                } else {
+                    greater
+                };
             }
         }
         Ok(Ok(Some(region)))
@@ -361,12 +414,22 @@ impl Search<'_> {
 
     /// Ends the search if a line passes all edges on the right sides. Its ends are strictly inside the first
     /// and the last polygon by construction.
-    fn check(&mut self, (local, edges): &mut Ends<'_>, (p, q): (Snapped, Snapped)) -> Result<(), End> {
+    fn check(
+        &mut self,
+        (local, edges): &mut Ends<'_>,
+        (p, q): (Snapped, Snapped),
+    ) -> Result<(), End> {
         self.cost.lines += 1;
         let line = local.space.join(p.0, q.0);
-        if edges.iter().all(|(edge, keep)| local.space.side(line, *edge) == *keep) {
+        if edges
+            .iter()
+            .all(|(edge, keep)| local.space.side(line, *edge) == *keep)
+        {
             self.cost.decisions += local.space.decisions;
-            return Err(End::Found(Box::new([local.source(p.0, 0), local.source(q.0, 1)])));
+            return Err(End::Found(Box::new([
+                local.source(p.0, 0),
+                local.source(q.0, 1),
+            ])));
         }
         Ok(())
     }
@@ -374,7 +437,10 @@ impl Search<'_> {
 
 /// The lines of the edges of polygons, and the side on which a line passes them that crosses the polygon in
 /// its direction.
-pub(super) fn edges(space: &mut Space, middle: &[(&Polygon, Ordering)]) -> Vec<(VectorId, Ordering)> {
+pub(super) fn edges(
+    space: &mut Space,
+    middle: &[(&Polygon, Ordering)],
+) -> Vec<(VectorId, Ordering)> {
     let mut out = Vec::new();
     for (polygon, towards) in middle {
         let mut point = |source: &Source| {
@@ -392,17 +458,32 @@ pub(super) fn edges(space: &mut Space, middle: &[(&Polygon, Ordering)]) -> Vec<(
         for k in 0..n {
             let edge = space.join(corners[k], corners[(k + 1) % n]);
             let side = space.side(line, edge);
-            out.push((edge, if *towards == Ordering::Greater { side } else { side.reverse() }));
+            out.push((
+                edge,
+                if *towards == Ordering::Greater {
+                    side
+                } else {
+                    side.reverse()
+                },
+            ));
         }
     }
     out
 }
 
 /// The neighbours of polygon `i` that remain when it is crossed in a direction; `None` when one vanishes.
-fn cut(way: &Directed, portals: &[Polygon], i: usize, towards: Ordering) -> Option<Vec<(usize, Polygon)>> {
+fn cut(
+    way: &Directed,
+    portals: &[Polygon],
+    i: usize,
+    towards: Ordering,
+) -> Option<Vec<(usize, Polygon)>> {
     let mut parts = Vec::with_capacity(2);
     if i > 0 {
-        parts.push((i - 1, behind(&way.polygons[i - 1], &portals[i], towards.reverse())?));
+        parts.push((
+            i - 1,
+            behind(&way.polygons[i - 1], &portals[i], towards.reverse())?,
+        ));
     }
     if i + 1 < portals.len() {
         parts.push((i + 1, behind(&way.polygons[i + 1], &portals[i], towards)?));

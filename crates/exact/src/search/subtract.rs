@@ -32,9 +32,13 @@ impl Local<'_> {
         let mut order: Vec<(u32, usize)> = Vec::with_capacity(self.known[known].lines.len());
         for (k, c) in self.known[known].lines.iter().enumerate() {
             let inside = match c.row {
-                Some((row, back)) => self.side_bitsets.row(&self.forms, row)[usize::from(back != negative)],
+                Some((row, back)) => {
+                    self.side_bitsets.row(&self.forms, row)[usize::from(back != negative)]
+                }
                 None => {
-                    let sides = self.side_bitsets.sides_of(&self.forms, self.space.rounded(c.line));
+                    let sides = self
+                        .side_bitsets
+                        .sides_of(&self.forms, self.space.rounded(c.line));
                     sides[usize::from(c.flipped != negative)]
                 }
             };
@@ -57,10 +61,19 @@ impl Local<'_> {
         let mut sides = std::mem::take(&mut self.sides);
         let mut inside: Option<Region> = None;
         for k in self.order(known, negative) {
-            let Constraint { line, flipped, number, .. } = self.known[known].lines[k];
+            let Constraint {
+                line,
+                flipped,
+                number,
+                ..
+            } = self.known[known].lines[k];
             let rest = inside.as_ref().unwrap_or(region);
             rest.sides(&mut self.space, line, &mut sides);
-            let inner = if flipped != negative { Ordering::Less } else { Ordering::Greater };
+            let inner = if flipped != negative {
+                Ordering::Less
+            } else {
+                Ordering::Greater
+            };
             if !sides.contains(&inner) {
                 return None;
             }
@@ -68,7 +81,11 @@ impl Local<'_> {
                 continue;
             }
             let [less, greater] = rest.split(&mut self.space, line, &sides).ok()?;
-            let (inner, out) = if inner == Ordering::Less { (less, greater) } else { (greater, less) };
+            let (inner, out) = if inner == Ordering::Less {
+                (less, greater)
+            } else {
+                (greater, less)
+            };
             inside = Some(inner);
             cuts.push(number);
             outside.push(out);

@@ -25,7 +25,10 @@ pub enum Surface {
 
 /// The corner of a polygon and the edge of another that a swath touches, if two of its edges share a corner.
 pub fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeOf, EdgeOf)> {
-    let pairs = touched.iter().enumerate().flat_map(|(k, a)| touched[k + 1..].iter().map(move |b| (*a, *b)));
+    let pairs = touched
+        .iter()
+        .enumerate()
+        .flat_map(|(k, a)| touched[k + 1..].iter().map(move |b| (*a, *b)));
     for ([p, i], [q, j]) in pairs.filter(|(a, b)| a[0] == b[0]) {
         let n = portals[p].points().len();
         // Edge k goes from corner k to corner k + 1.
@@ -48,7 +51,11 @@ pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> 
     let ends = [&other[edge], &other[(edge + 1) % other.len()]];
     let v = &of[corner];
     let sides = |points: &[Source]| -> BTreeSet<Ordering> {
-        points.iter().map(|x| orient([ends[0], ends[1], v, x])).filter(|o| *o != Ordering::Equal).collect()
+        points
+            .iter()
+            .map(|x| orient([ends[0], ends[1], v, x]))
+            .filter(|o| *o != Ordering::Equal)
+            .collect()
     };
     let (a, b) = (sides(of), sides(other));
     let is_boundary = a.len() == 1 && b.len() == 1 && a != b;
@@ -57,7 +64,14 @@ pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> 
     let plane = [x, y, z, -k].map(|c| c.to_f64().value());
     let most = plane.iter().fold(0.0f64, |m, c| m.max(c.abs()));
     // A corner on the line of the edge spans no plane with it.
-    (is_boundary, Surface::Plane(if most > 0.0 { plane.map(|c| c / most) } else { plane }))
+    (
+        is_boundary,
+        Surface::Plane(if most > 0.0 {
+            plane.map(|c| c / most)
+        } else {
+            plane
+        }),
+    )
 }
 
 /// Whether some direction across a line points into all polygons at the edges that it touches (section
@@ -71,17 +85,29 @@ pub fn are_contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -
             let (a, b) = (at[*i], at[(*i + 1) % at.len()]);
             let middle = at.iter().sum::<DVec3>() / at.len() as f64;
             let normal = along.cross(b - a);
-            if normal.dot(middle - a) < 0.0 { -normal } else { normal }
+            if normal.dot(middle - a) < 0.0 {
+                -normal
+            } else {
+                normal
+            }
         })
         .collect();
     let right = along.any_orthonormal_vector();
     let up = along.cross(right);
-    let mut angles: Vec<f64> = normals.iter().map(|n| n.dot(up).atan2(n.dot(right))).collect();
+    let mut angles: Vec<f64> = normals
+        .iter()
+        .map(|n| n.dot(up).atan2(n.dot(right)))
+        .collect();
     angles.sort_by(f64::total_cmp);
     let n = angles.len();
     let turn = std::f64::consts::TAU;
-    let gaps =
-        (0..n).map(|k| if k + 1 < n { angles[k + 1] - angles[k] } else { angles[0] + turn - angles[k] });
+    let gaps = (0..n).map(|k| {
+        if k + 1 < n {
+            angles[k + 1] - angles[k]
+        } else {
+            angles[0] + turn - angles[k]
+        }
+    });
     gaps.fold(0.0, f64::max) > std::f64::consts::PI
 }
 
@@ -90,7 +116,10 @@ pub fn are_contained(portals: &[Polygon], touched: &[EdgeOf], line: &[f64; 6]) -
 pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
     let ends = |[p, i]: EdgeOf| {
         let points = portals[p].points();
-        [integers(&points[i]), integers(&points[(i + 1) % points.len()])]
+        [
+            integers(&points[i]),
+            integers(&points[(i + 1) % points.len()]),
+        ]
     };
     // The first three edges, of three polygons where there are as many.
     let mut of: Vec<EdgeOf> = Vec::new();
@@ -99,7 +128,13 @@ pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
             of.push(*edge);
         }
     }
-    of.extend(touched.iter().filter(|e| !of.contains(e)).copied().collect::<Vec<_>>());
+    of.extend(
+        touched
+            .iter()
+            .filter(|e| !of.contains(e))
+            .copied()
+            .collect::<Vec<_>>(),
+    );
     let lines: Vec<[[IBig; 4]; 2]> = of.into_iter().take(3).map(ends).collect();
     let through = |[a, b]: &[[IBig; 4]; 2]| -> [[IBig; 4]; 4] {
         std::array::from_fn(|i| std::array::from_fn(|j| &a[i] * &b[j] - &a[j] * &b[i]))
@@ -107,9 +142,14 @@ pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
     // The dual matrix has the complementary minors.
     let dual = |m: &[[IBig; 4]; 4]| -> [[IBig; 4]; 4] {
         let mut out: [[IBig; 4]; 4] = Default::default();
-        for (i, j, k, l) in
-            [(0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (3, 1, 0, 2), (2, 3, 0, 1)]
-        {
+        for (i, j, k, l) in [
+            (0, 1, 2, 3),
+            (0, 2, 3, 1),
+            (0, 3, 1, 2),
+            (1, 2, 0, 3),
+            (3, 1, 0, 2),
+            (2, 3, 0, 1),
+        ] {
             out[i][j] = m[k][l].clone();
             out[j][i] = -m[k][l].clone();
         }
@@ -121,9 +161,24 @@ pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
     let [l1, l2, l3] = [0, 1, 2].map(|k| through(&lines[k]));
     let m = times(&dual(&l3), &times(&l2, &dual(&l1)));
     let entry = |i: usize, j: usize| &m[i][j] + &m[j][i];
-    let pairs = [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
+    let pairs = [
+        (0, 0),
+        (0, 1),
+        (0, 2),
+        (0, 3),
+        (1, 1),
+        (1, 2),
+        (1, 3),
+        (2, 2),
+        (2, 3),
+        (3, 3),
+    ];
     let exact = pairs.map(|(i, j)| entry(i, j));
     let values = exact.map(|c| c.to_f64().value());
     let most = values.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-    if most > 0.0 { values.map(|c| c / most) } else { values }
+    if most > 0.0 {
+        values.map(|c| c / most)
+    } else {
+        values
+    }
 }

@@ -27,7 +27,12 @@ impl Local<'_> {
     /// `near_q`.
     ///
     /// Triangles in the plane of A or of B do not count.
-    pub fn trace(&mut self, scene: &Occluders, (p, q): (u32, u32), (near_p, near_q): (DVec3, DVec3)) -> Met {
+    pub fn trace(
+        &mut self,
+        scene: &Occluders,
+        (p, q): (u32, u32),
+        (near_p, near_q): (DVec3, DVec3),
+    ) -> Met {
         let mut candidates = std::mem::take(&mut self.candidates);
         candidates.clear();
         scene.along(near_p, near_q, self.pair.size, &mut candidates);
@@ -80,16 +85,29 @@ enum Touch {
 }
 
 /// How the segment meets one triangle.
-fn touch(space: &mut Space, pair: &mut Pair, (p, q): (u32, u32), id: u32, corners: [u32; 3]) -> Touch {
+fn touch(
+    space: &mut Space,
+    pair: &mut Pair,
+    (p, q): (u32, u32),
+    id: u32,
+    corners: [u32; 3],
+) -> Touch {
     if pair.flat.get(&id).is_some_and(|f| f.contains(&true)) {
         return Touch::Not;
     }
     let [a, b, c] = corners;
-    let (sp, sq) = (space.filtered_orient(a, b, c, p), space.filtered_orient(a, b, c, q));
+    let (sp, sq) = (
+        space.filtered_orient(a, b, c, p),
+        space.filtered_orient(a, b, c, q),
+    );
     if sp.is_some() && sp == sq {
         return Touch::Not;
     }
-    let sides = [space.orient(p, q, a, b), space.orient(p, q, b, c), space.orient(p, q, c, a)];
+    let sides = [
+        space.orient(p, q, a, b),
+        space.orient(p, q, b, c),
+        space.orient(p, q, c, a),
+    ];
     if sides.contains(&Ordering::Greater) && sides.contains(&Ordering::Less) {
         return Touch::Not;
     }
@@ -120,8 +138,11 @@ fn in_planes(space: &mut Space, pair: &mut Pair, id: u32, corners: &[u32; 3]) ->
     if let Some(known) = pair.flat.get(&id) {
         return *known;
     }
-    let flat = [&pair.a, &pair.b]
-        .map(|of| corners.iter().all(|t| space.orient(of[0], of[1], of[2], *t) == Ordering::Equal));
+    let flat = [&pair.a, &pair.b].map(|of| {
+        corners
+            .iter()
+            .all(|t| space.orient(of[0], of[1], of[2], *t) == Ordering::Equal)
+    });
     pair.flat.insert(id, flat);
     flat
 }

@@ -19,7 +19,12 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { regions: 200_000, vectors: 200_000, splits: 64, divisions: 12 }
+        Self {
+            regions: 200_000,
+            vectors: 200_000,
+            splits: 64,
+            divisions: 12,
+        }
     }
 }
 

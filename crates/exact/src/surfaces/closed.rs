@@ -75,18 +75,31 @@ impl Surfaces {
         let mut edges: Vec<([u32; 2], u32)> = Vec::new();
         for t in (0..n as u32).filter(|t| solid(*t)) {
             let c = scene.corners(t);
-            edges.extend([(0, 1), (1, 2), (2, 0)].map(|(i, j)| ([c[i].min(c[j]), c[i].max(c[j])], t)));
+            edges.extend(
+                [(0, 1), (1, 2), (2, 0)].map(|(i, j)| ([c[i].min(c[j]), c[i].max(c[j])], t)),
+            );
         }
         edges.par_sort_unstable();
         let mut sets = UnionFind::new(n);
         for run in edges.chunk_by(|a, b| a.0 == b.0) {
-            run.iter().skip(1).for_each(|(_, t)| sets.join(run[0].1, *t));
+            run.iter()
+                .skip(1)
+                .for_each(|(_, t)| sets.join(run[0].1, *t));
         }
         // Odd edges by the surface they belong to.
         let mut odd: Vec<(u32, [u32; 2], [Vec3; 2])> = Vec::new();
-        for run in edges.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() % 2 == 1) {
+        for run in edges
+            .chunk_by(|a, b| a.0 == b.0)
+            .filter(|r| r.len() % 2 == 1)
+        {
             let (edge, t) = run[0];
-            let at = |corner: u32| scene.corners(t).iter().position(|c| *c == corner).unwrap_or(0);
+            let at = |corner: u32| {
+                scene
+                    .corners(t)
+                    .iter()
+                    .position(|c| *c == corner)
+                    .unwrap_or(0)
+            };
             let ends = edge.map(|c| scene.triangle(t)[at(c)]);
             odd.push((sets.root(t), edge, ends));
         }
@@ -94,12 +107,17 @@ impl Surfaces {
         let mut usable = vec![true; n];
         let mut patches: Vec<(u32, Vec<[Vec3; 3]>)> = Vec::new();
         let mut members = vec![0usize; n];
-        (0..n as u32).filter(|t| solid(*t)).for_each(|t| members[sets.root(t) as usize] += 1);
+        (0..n as u32)
+            .filter(|t| solid(*t))
+            .for_each(|t| members[sets.root(t) as usize] += 1);
         for run in odd.chunk_by(|a, b| a.0 == b.0) {
             if !few_odd_edges(run.len(), members[run[0].0 as usize]) {
                 usable[run[0].0 as usize] = false;
             } else {
-                patches.push((run[0].0, cover(&run.iter().map(|o| o.2).collect::<Vec<_>>())));
+                patches.push((
+                    run[0].0,
+                    cover(&run.iter().map(|o| o.2).collect::<Vec<_>>()),
+                ));
             }
         }
         let mut number = vec![None; n];
@@ -112,7 +130,11 @@ impl Surfaces {
             let id = *number[root as usize].get_or_insert_with(|| {
                 let at = patches.binary_search_by_key(&root, |p| p.0);
                 let patches = at.map_or(Vec::new(), |at| std::mem::take(&mut patches[at].1));
-                surfaces.push(Surface { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY, patches });
+                surfaces.push(Surface {
+                    min: Vec3::INFINITY,
+                    max: Vec3::NEG_INFINITY,
+                    patches,
+                });
                 surfaces.len() as u32 - 1
             });
             let s = &mut surfaces[id as usize];
@@ -121,7 +143,11 @@ impl Surfaces {
             }
             of[t as usize] = Some(id);
         }
-        let mut all = Self { sides: Vec::new(), of, surfaces };
+        let mut all = Self {
+            sides: Vec::new(),
+            of,
+            surfaces,
+        };
         all.sides = (0..n as u32)
             .into_par_iter()
             .map_init(Vec::new, |scratch, t| {
@@ -139,7 +165,9 @@ impl Surfaces {
     fn is_pierced(&self, scene: &Occluders, s: u32, t: u32, near: &mut Vec<u32>) -> bool {
         let v = *scene.triangle(t);
         near.clear();
-        scene.hierarchy().in_box(v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2]), near);
+        scene
+            .hierarchy()
+            .in_box(v[0].min(v[1]).min(v[2]), v[0].max(v[1]).max(v[2]), near);
         near.iter().any(|u| {
             *u != t
                 && self.of[*u as usize] == Some(s)
@@ -180,7 +208,11 @@ impl Surfaces {
         let mut to = from + Vec3::new(jitter(), jitter(), jitter());
         let past = size * 0.1 + f32::MIN_POSITIVE;
         let up = max[axis] - from[axis] < from[axis] - min[axis];
-        to[axis] = if up { max[axis] + past } else { min[axis] - past };
+        to[axis] = if up {
+            max[axis] + past
+        } else {
+            min[axis] - past
+        };
         to
     }
 
@@ -198,9 +230,14 @@ impl Surfaces {
         near.clear();
         let size = f64::from(p.abs().max(q.abs()).max_element());
         scene.along(p.as_dvec3(), q.as_dvec3(), size, near);
-        let own = near.iter().filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
+        let own = near
+            .iter()
+            .filter(|u| self.of[**u as usize] == Some(s) && Some(**u) != without);
         let mut odd = false;
-        for u in own.map(|u| scene.triangle(*u)).chain(&self.surfaces[s as usize].patches) {
+        for u in own
+            .map(|u| scene.triangle(*u))
+            .chain(&self.surfaces[s as usize].patches)
+        {
             odd ^= match crossing(*u, p, q) {
                 Crossing::Not => false,
                 Crossing::Touches => return None,
@@ -211,9 +248,17 @@ impl Surfaces {
     }
 
     /// The parities of a cell. `meeting` holds the triangles that meet the cell.
-    pub fn seen_from<'a>(&'a self, scene: &'a Occluders, cell: Cell, meeting: &[u32]) -> FromCell<'a> {
+    pub fn seen_from<'a>(
+        &'a self,
+        scene: &'a Occluders,
+        cell: Cell,
+        meeting: &[u32],
+    ) -> FromCell<'a> {
         let mut met = vec![false; self.surfaces.len()];
-        meeting.iter().filter_map(|t| self.of[*t as usize]).for_each(|s| met[s as usize] = true);
+        meeting
+            .iter()
+            .filter_map(|t| self.of[*t as usize])
+            .for_each(|s| met[s as usize] = true);
         let [min, max] = cell.corners();
         let middle = (min * 0.5 + max * 0.5).clamp(min, max);
         let parity = (0..self.surfaces.len() as u32)
@@ -229,31 +274,62 @@ impl Surfaces {
                 (0..TRIES).find_map(|_| {
                     let to = self.outside(s, middle, &mut random);
                     let out = to.cmplt(*min).any() || to.cmpgt(*max).any();
-                    let odd =
-                        || self.crossings(scene, s, (middle, to), None, &|_| Some(true), &mut Vec::new());
+                    let odd = || {
+                        self.crossings(
+                            scene,
+                            s,
+                            (middle, to),
+                            None,
+                            &|_| Some(true),
+                            &mut Vec::new(),
+                        )
+                    };
                     out.then(odd).flatten()
                 })
             })
             .collect();
-        FromCell { surfaces: self, scene, cell, parity }
+        FromCell {
+            surfaces: self,
+            scene,
+            cell,
+            parity,
+        }
     }
 }
 
 impl FromCell<'_> {
     /// From which part of the cell a triangle that does not meet the cell is hidden by its surface.
     pub fn hides(&self, t: u32) -> Hides {
-        let Some((s, front)) = self.surfaces.sides[t as usize] else { return Hides::Nothing };
-        let Some(cell) = self.parity[s as usize] else { return Hides::Nothing };
+        let Some((s, front)) = self.surfaces.sides[t as usize] else {
+            return Hides::Nothing;
+        };
+        let Some(cell) = self.parity[s as usize] else {
+            return Hides::Nothing;
+        };
         // The side it is hidden from: the one with the other parity.
-        let hidden = if cell == front { Ordering::Less } else { Ordering::Greater };
+        let hidden = if cell == front {
+            Ordering::Less
+        } else {
+            Ordering::Greater
+        };
         let v = self.scene.triangle(t);
-        let sides = self.cell.all_corners().map(|p| orient3d_sign(v[0], v[1], v[2], p));
+        let sides = self
+            .cell
+            .all_corners()
+            .map(|p| orient3d_sign(v[0], v[1], v[2], p));
         if !sides.contains(&hidden)
-            || !self.surfaces.surfaces[s as usize].patches.iter().all(|p| self.apart(v, p))
+            || !self.surfaces.surfaces[s as usize]
+                .patches
+                .iter()
+                .all(|p| self.apart(v, p))
         {
             return Hides::Nothing;
         }
-        if sides.contains(&hidden.reverse()) { Hides::From(hidden) } else { Hides::All }
+        if sides.contains(&hidden.reverse()) {
+            Hides::From(hidden)
+        } else {
+            Hides::All
+        }
     }
 
     /// Whether an axis, the patch's plane or the triangle's plane separates a patch from the convex hull of

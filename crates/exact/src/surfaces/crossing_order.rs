@@ -41,7 +41,10 @@ fn sooner_exact(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering 
         let flat = predicates::plane([&a, &b, &c]);
         // Multiplying by the other end's w gives both heights one scale.
         let (p, q) = (point(from), point(to));
-        [predicates::height(&flat, &p) * &q[3], predicates::height(&flat, &q) * &p[3]]
+        [
+            predicates::height(&flat, &p) * &q[3],
+            predicates::height(&flat, &q) * &p[3],
+        ]
     };
     let ([au, bu], [at, bt]) = (exact(u), exact(t));
     (au * bt).abs().cmp(&(at * bu).abs())

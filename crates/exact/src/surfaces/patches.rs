@@ -15,7 +15,10 @@ pub fn cover(odd: &[[Vec3; 2]]) -> Vec<[Vec3; 3]> {
         let before = group.clone();
         for i in 0..odd.len() {
             for j in 0..i {
-                if odd[i].iter().any(|p| odd[j].iter().any(|q| key(*p) == key(*q))) {
+                if odd[i]
+                    .iter()
+                    .any(|p| odd[j].iter().any(|q| key(*p) == key(*q)))
+                {
                     let least = group[i].min(group[j]);
                     (group[i], group[j]) = (least, least);
                 }
@@ -29,7 +32,9 @@ pub fn cover(odd: &[[Vec3; 2]]) -> Vec<[Vec3; 3]> {
     (0..odd.len())
         .filter_map(|i| {
             let members = (0..odd.len()).filter(|j| group[*j] == group[i]);
-            let corner = members.flat_map(|j| odd[j]).min_by_key(|v| order(*v + Vec3::ZERO))?;
+            let corner = members
+                .flat_map(|j| odd[j])
+                .min_by_key(|v| order(*v + Vec3::ZERO))?;
             let [p, q] = odd[i];
             (key(p) != key(corner) && key(q) != key(corner)).then_some([corner, p, q])
         })

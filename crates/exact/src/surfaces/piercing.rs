@@ -12,7 +12,11 @@ use sightline_scene::exact::{Crossing, crossing};
 pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> bool {
     // A shared corner is in the plane; exact arithmetic would take longest to show this.
     let place = |of: &[Vec3; 3], c: [u32; 3], (p, n): (Vec3, u32)| {
-        if c.contains(&n) { Ordering::Equal } else { orient3d_sign(of[0], of[1], of[2], p) }
+        if c.contains(&n) {
+            Ordering::Equal
+        } else {
+            orient3d_sign(of[0], of[1], of[2], p)
+        }
     };
     let sides = [0, 1, 2].map(|k| place(t, ct, (u[k], cu[k])));
     if sides[0] != Ordering::Equal && sides.iter().all(|s| *s == sides[0]) {
@@ -33,7 +37,9 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
         let (a, b) = (u[*i], u[*j]);
         // A shared corner is on t's border; if the other end is off the plane, so is the rest of the edge.
         let apart = sides[*i] == sides[*j] && sides[*i] != Ordering::Equal;
-        let at_corner = sides[*i] == Ordering::Equal && ct.contains(&cu[*i]) && sides[*j] != Ordering::Equal
+        let at_corner = sides[*i] == Ordering::Equal
+            && ct.contains(&cu[*i])
+            && sides[*j] != Ordering::Equal
             || sides[*j] == Ordering::Equal && ct.contains(&cu[*j]) && sides[*i] != Ordering::Equal;
         if sides[*i] == Ordering::Equal && sides[*j] == Ordering::Equal {
             return enters_in_plane(t, a, b);
@@ -45,7 +51,9 @@ pub fn may_pierce(t: &[Vec3; 3], u: &[Vec3; 3], ct: [u32; 3], cu: [u32; 3]) -> b
             let ends = [i, j].map(|k| place(u, cu, (t[*k], ct[*k])));
             // Also true of an edge in u's plane: u then meets t's plane along that edge.
             let apart = ends[0] == ends[1];
-            let at_corner = ends[0] == Ordering::Equal && cu.contains(&ct[*i]) && ends[1] != Ordering::Equal
+            let at_corner = ends[0] == Ordering::Equal
+                && cu.contains(&ct[*i])
+                && ends[1] != Ordering::Equal
                 || ends[1] == Ordering::Equal && cu.contains(&ct[*j]) && ends[0] != Ordering::Equal;
             !apart && !at_corner && crossing(*u, t[*i], t[*j]) != Crossing::Not
         })
@@ -59,7 +67,9 @@ fn overlap_in_plane(t: &[Vec3; 3], u: &[Vec3; 3]) -> bool {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);
         orient2d_sign(a, b, c)
     };
-    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else { return true };
+    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else {
+        return true;
+    };
     let separated = |x: &[Vec3; 3], y: &[Vec3; 3]| {
         let inner = turn(axis, *x);
         [(0, 1), (1, 2), (2, 0)]
@@ -76,11 +86,15 @@ fn enters_in_plane(t: &[Vec3; 3], a: Vec3, b: Vec3) -> bool {
         let [a, b, c] = p.map(|v| [v[(k + 1) % 3], v[(k + 2) % 3]]);
         orient2d_sign(a, b, c)
     };
-    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else { return true };
+    let Some(axis) = (0..3).find(|k| turn(*k, *t) != Ordering::Equal) else {
+        return true;
+    };
     let inner = turn(axis, *t);
-    let outside = [(0, 1), (1, 2), (2, 0)]
-        .iter()
-        .any(|(i, j)| [a, b].iter().all(|p| turn(axis, [t[*i], t[*j], *p]) != inner));
+    let outside = [(0, 1), (1, 2), (2, 0)].iter().any(|(i, j)| {
+        [a, b]
+            .iter()
+            .all(|p| turn(axis, [t[*i], t[*j], *p]) != inner)
+    });
     let along = t.map(|v| turn(axis, [a, b, v]));
     !outside && along.contains(&Ordering::Less) && along.contains(&Ordering::Greater)
 }

@@ -8,12 +8,21 @@ use sightline_scene::{Object, Scene, Triangle};
 use super::Corners;
 
 pub fn exact_scene(triangles: &[Corners]) -> ExactScene {
-    let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
+    let objects = vec![Object {
+        name: "test".into(),
+        first: 0,
+        count: triangles.len() as u32,
+    }];
     let all = triangles.iter().map(|v| Triangle { v: *v }).collect();
     ExactScene::prepare(&Scene::new("test", all, objects).unwrap()).unwrap()
 }
 
-pub fn solve(scene: &ExactScene, cell: Aabb, seen: &[u32], stop: &(dyn Fn() -> bool + Sync)) -> Decided {
+pub fn solve(
+    scene: &ExactScene,
+    cell: Aabb,
+    seen: &[u32],
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Decided {
     decide(&Task {
         scene,
         cell: Cell::new(cell.min, cell.max).unwrap(),
@@ -62,5 +71,8 @@ pub fn chambers() -> (Vec<Corners>, Aabb) {
     block([4.0, 4.0, 0.5], [5.0, 5.0, 1.0]);
     // Outside of everything.
     block([30.0, 0.0, 0.0], [31.0, 1.0, 1.0]);
-    (t, Aabb::new(Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)))
+    (
+        t,
+        Aabb::new(Vec3::new(1.0, 6.0, 1.0), Vec3::new(3.0, 8.0, 2.0)),
+    )
 }

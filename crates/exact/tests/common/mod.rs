@@ -1,7 +1,12 @@
 //! What the tests of queries share: scenes that have every verdict checked, places to put them, random
 //! numbers.
 
-#![allow(dead_code, clippy::panic, clippy::unwrap_used, reason = "helpers of tests, each of which uses some")]
+#![allow(
+    dead_code,
+    clippy::panic,
+    clippy::unwrap_used,
+    reason = "helpers of tests, each of which uses some"
+)]
 
 pub mod cells;
 pub mod truth;
@@ -24,11 +29,22 @@ pub struct World {
 
 impl World {
     pub fn new(triangles: Vec<Corners>) -> Self {
-        let objects = vec![Object { name: "test".into(), first: 0, count: triangles.len() as u32 }];
-        let scene =
-            Scene::new("test", triangles.iter().map(|v| Triangle { v: *v }).collect(), objects).unwrap();
+        let objects = vec![Object {
+            name: "test".into(),
+            first: 0,
+            count: triangles.len() as u32,
+        }];
+        let scene = Scene::new(
+            "test",
+            triangles.iter().map(|v| Triangle { v: *v }).collect(),
+            objects,
+        )
+        .unwrap();
         let occluders = Occluders::new(&scene).unwrap();
-        Self { triangles, occluders }
+        Self {
+            triangles,
+            occluders,
+        }
     }
 
     /// The verdict on lists of parts, or why the checker refuses it.
@@ -36,7 +52,10 @@ impl World {
         let (verdict, _) = sightlines(&self.occluders, a, b, &Limits::default());
         match check(&self.triangles, a, b, &verdict) {
             Ok(()) => Ok(verdict),
-            Err(refusal) => Err(format!("refused: {refusal}\n{verdict:?}\n{}", self.described(a, b))),
+            Err(refusal) => Err(format!(
+                "refused: {refusal}\n{verdict:?}\n{}",
+                self.described(a, b)
+            )),
         }
     }
 
@@ -45,7 +64,9 @@ impl World {
         match self.verdict(a, b)? {
             Verdict::Visible(_) => Ok(true),
             Verdict::Hidden(_) => Ok(false),
-            Verdict::Undecided(reason) => Err(format!("undecided: {reason}\n{}", self.described(a, b))),
+            Verdict::Undecided(reason) => {
+                Err(format!("undecided: {reason}\n{}", self.described(a, b)))
+            }
         }
     }
 
@@ -63,21 +84,39 @@ impl World {
     /// The same, asked both ways.
     pub fn mutual(&self, a: &[DVec3], b: &[DVec3]) -> bool {
         let seen = self.sees(a, b);
-        assert_eq!(self.sees(b, a), seen, "not the same both ways: {a:?} {b:?} {:?}", self.triangles);
+        assert_eq!(
+            self.sees(b, a),
+            seen,
+            "not the same both ways: {a:?} {b:?} {:?}",
+            self.triangles
+        );
         seen
     }
 
     /// Numbers that a failing case can be made of again, to the last bit.
     fn described(&self, a: &[Polygon], b: &[Polygon]) -> String {
         let points = |parts: &[Polygon]| parts.iter().map(|p| p.rounded()).collect::<Vec<_>>();
-        format!("a = {:?}\nb = {:?}\ntriangles = {:?}", points(a), points(b), self.triangles)
+        format!(
+            "a = {:?}\nb = {:?}\ntriangles = {:?}",
+            points(a),
+            points(b),
+            self.triangles
+        )
     }
 }
 
 /// Whether the checker accepts what a verdict rests on.
-pub fn check(scene: &[Corners], a: &[Polygon], b: &[Polygon], verdict: &Verdict) -> Result<(), Refusal> {
+pub fn check(
+    scene: &[Corners],
+    a: &[Polygon],
+    b: &[Polygon],
+    verdict: &Verdict,
+) -> Result<(), Refusal> {
     let corners = |parts: &[Polygon]| -> Vec<checker::Corners> {
-        parts.iter().map(|p| p.points().iter().map(integers).collect()).collect()
+        parts
+            .iter()
+            .map(|p| p.points().iter().map(integers).collect())
+            .collect()
     };
     match verdict {
         Verdict::Visible(ends) => {
@@ -118,12 +157,20 @@ impl Place {
 
     /// A polygon of a query. One that is turned is flat but for the rounding of doubles.
     pub fn polygon(&self, corners: &[[f64; 3]]) -> Vec<DVec3> {
-        corners.iter().map(|p| self.turn * self.point(*p).as_dvec3()).collect()
+        corners
+            .iter()
+            .map(|p| self.turn * self.point(*p).as_dvec3())
+            .collect()
     }
 
     /// A rectangle of a query, in a plane z.
     pub fn rectangle(&self, z: f64, x: [f64; 2], y: [f64; 2]) -> Vec<DVec3> {
-        self.polygon(&[[x[0], y[0], z], [x[1], y[0], z], [x[1], y[1], z], [x[0], y[1], z]])
+        self.polygon(&[
+            [x[0], y[0], z],
+            [x[1], y[0], z],
+            [x[1], y[1], z],
+            [x[0], y[1], z],
+        ])
     }
 
     /// A square of a query, in a plane z.
@@ -135,14 +182,20 @@ impl Place {
 /// Permutations of the axes with flips, some of which mirror.
 pub fn permutations() -> Vec<DMat3> {
     let [x, y, z] = [DVec3::X, DVec3::Y, DVec3::Z];
-    [[x, y, z], [y, z, x], [z, -y, x], [-x, -z, -y]].map(|[a, b, c]| DMat3::from_cols(a, b, c)).to_vec()
+    [[x, y, z], [y, z, x], [z, -y, x], [-x, -z, -y]]
+        .map(|[a, b, c]| DMat3::from_cols(a, b, c))
+        .to_vec()
 }
 
 fn places(scales: &[f64], shifts: &[f64], turns: &[DMat3]) -> Vec<Place> {
     let mut out = Vec::new();
     for scale in scales {
         for shift in shifts {
-            out.extend(turns.iter().map(|t| Place { scale: *scale, shift: shift * scale, turn: *t }));
+            out.extend(turns.iter().map(|t| Place {
+                scale: *scale,
+                shift: shift * scale,
+                turn: *t,
+            }));
         }
     }
     out
@@ -156,13 +209,18 @@ pub fn exact() -> Vec<Place> {
 
 /// Places that keep the order of coordinates, and equal ones equal.
 pub fn ordered() -> Vec<Place> {
-    places(&[1e-30, 1e-6, 1.0, 1e6, 1e30], &[0.0, 1e3], &permutations()[..3])
+    places(
+        &[1e-30, 1e-6, 1.0, 1e6, 1e30],
+        &[0.0, 1e3],
+        &permutations()[..3],
+    )
 }
 
 /// Places where all is rounded.
 pub fn rounded() -> Vec<Place> {
     let turns = [(0.3, 0.7, -0.2), (2.1, -1.0, 0.5), (-0.9, 0.1, 3.0)].map(|(x, y, z)| {
-        let turn = DQuat::from_rotation_x(x) * DQuat::from_rotation_y(y) * DQuat::from_rotation_z(z);
+        let turn =
+            DQuat::from_rotation_x(x) * DQuat::from_rotation_y(y) * DQuat::from_rotation_z(z);
         DMat3::from_quat(turn)
     });
     places(&[1e-6, 1.0, 1e6], &[0.0, 10.0], &turns)
@@ -177,7 +235,10 @@ pub struct Draft<'a> {
 
 impl<'a> Draft<'a> {
     pub fn new(place: &'a Place) -> Self {
-        Self { place, triangles: Vec::new() }
+        Self {
+            place,
+            triangles: Vec::new(),
+        }
     }
 
     pub fn triangle(&mut self, corners: [[f64; 3]; 3]) {
@@ -194,7 +255,11 @@ impl<'a> Draft<'a> {
 
     /// A rectangle in a plane z.
     pub fn rectangle(&mut self, z: f64, x: [f64; 2], y: [f64; 2]) {
-        self.placed(z, x.map(|c| self.place.local(c)), y.map(|c| self.place.local(c)));
+        self.placed(
+            z,
+            x.map(|c| self.place.local(c)),
+            y.map(|c| self.place.local(c)),
+        );
     }
 
     /// A rectangle in a plane z, whose sides are placed already.
@@ -206,7 +271,12 @@ impl<'a> Draft<'a> {
 
     /// A wall in a plane z with a window, of four pieces that overlap, reaching as far as `reach`.
     pub fn window(&mut self, z: f64, reach: f64, x: [f64; 2], y: [f64; 2]) {
-        self.placed_window(z, reach, x.map(|c| self.place.local(c)), y.map(|c| self.place.local(c)));
+        self.placed_window(
+            z,
+            reach,
+            x.map(|c| self.place.local(c)),
+            y.map(|c| self.place.local(c)),
+        );
     }
 
     /// The same, with the window's sides placed already.
@@ -220,9 +290,17 @@ impl<'a> Draft<'a> {
 
     /// The box between two corners, of twelve triangles that share their corners.
     pub fn solid(&mut self, lo: [f64; 3], hi: [f64; 3]) {
-        let corner =
-            |i: usize| -> [f64; 3] { std::array::from_fn(|k| if i >> k & 1 == 1 { hi[k] } else { lo[k] }) };
-        for side in [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]] {
+        let corner = |i: usize| -> [f64; 3] {
+            std::array::from_fn(|k| if i >> k & 1 == 1 { hi[k] } else { lo[k] })
+        };
+        for side in [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ] {
             self.quad(side.map(corner));
         }
     }
@@ -246,7 +324,11 @@ impl<'a> Draft<'a> {
                 ]
                 .map(|s| DVec3::from(*p) * DVec3::from(s))
             })
-            .filter(|p| p.to_array().iter().all(|c| *c != 0.0 || c.is_sign_positive()))
+            .filter(|p| {
+                p.to_array()
+                    .iter()
+                    .all(|c| *c != 0.0 || c.is_sign_positive())
+            })
             .map(DVec3::normalize)
             .collect();
         assert_eq!(corners.len(), 12);
@@ -280,7 +362,12 @@ impl<'a> Draft<'a> {
     }
 
     pub fn done(self) -> World {
-        World::new(self.triangles.iter().map(|t| t.map(|p| self.place.turned(p))).collect())
+        World::new(
+            self.triangles
+                .iter()
+                .map(|t| t.map(|p| self.place.turned(p)))
+                .collect(),
+        )
     }
 }
 

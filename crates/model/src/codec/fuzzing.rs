@@ -15,8 +15,12 @@ const MOST: u64 = 4 << 20;
 /// may cause that.
 pub fn tile(raw: &[u8]) -> bool {
     let _ = read(raw, TRIANGLES, (b"PC", MOST), &|_| true);
-    let Ok(packed) = zstd::stream::encode_all(raw, 1) else { return false };
-    let Ok(output) = read(&packed, TRIANGLES, (b"PC", MOST), &|_| true) else { return false };
+    let Ok(packed) = zstd::stream::encode_all(raw, 1) else {
+        return false;
+    };
+    let Ok(output) = read(&packed, TRIANGLES, (b"PC", MOST), &|_| true) else {
+        return false;
+    };
     let is_pack = matches!(output, TileOutput::Pack(_));
     assert!(check(&packed, TRIANGLES, is_pack, MAX_UNPACKED).is_ok());
     assert!(check(&packed, TRIANGLES, !is_pack, MAX_UNPACKED).is_err());

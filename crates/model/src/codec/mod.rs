@@ -38,7 +38,12 @@ pub fn decode(bytes: &[u8], triangles: u32) -> Result<TileOutput, CodecError> {
 ///
 /// # Errors
 /// [`CodecError`] saying what is wrong.
-pub fn check(bytes: &[u8], triangles: u32, is_pack: bool, most: u64) -> Result<TileOutput, CodecError> {
+pub fn check(
+    bytes: &[u8],
+    triangles: u32,
+    is_pack: bool,
+    most: u64,
+) -> Result<TileOutput, CodecError> {
     let kind: &[u8] = if is_pack { b"P" } else { b"C" };
     read(bytes, triangles, (kind, most.min(MAX_UNPACKED)), &|_| false)
 }
@@ -49,7 +54,9 @@ pub fn check(bytes: &[u8], triangles: u32, is_pack: bool, most: u64) -> Result<T
 /// # Errors
 /// [`CodecError`] when the bytes are no pack; also those parts that are not kept are checked.
 pub fn decode_pack(bytes: &[u8], triangles: u32, within: &CellBox) -> Result<Pack, CodecError> {
-    match read(bytes, triangles, (b"P", MAX_UNPACKED), &|p| within.contains(p))? {
+    match read(bytes, triangles, (b"P", MAX_UNPACKED), &|p| {
+        within.contains(p)
+    })? {
         TileOutput::Pack(pack) => Ok(pack),
         TileOutput::Cells(_) => Err(CodecError("it holds cells and not samples")),
     }
@@ -64,7 +71,11 @@ fn read(
     let bad = |_| CodecError("it is not zstd data");
     let mut unpacked = zstd::stream::Decoder::new(bytes).map_err(bad)?;
     let mut raw = Vec::new();
-    unpacked.by_ref().take(1).read_to_end(&mut raw).map_err(bad)?;
+    unpacked
+        .by_ref()
+        .take(1)
+        .read_to_end(&mut raw)
+        .map_err(bad)?;
     if !raw.iter().all(|kind| kinds.contains(kind)) {
         return Err(CodecError("its kind is unknown, or not that of its tile"));
     }
@@ -72,11 +83,19 @@ fn read(
     if raw.len() as u64 > most {
         return Err(CodecError(error::TOO_LARGE));
     }
-    let mut r = Reader { bytes: &raw, triangles, room: most };
+    let mut r = Reader {
+        bytes: &raw,
+        triangles,
+        room: most,
+    };
     let output = match r.byte()? {
         b'P' => TileOutput::Pack(r.pack(keep)?),
         b'C' => TileOutput::Cells(r.cells()?),
         _ => return Err(CodecError("its kind is unknown")),
     };
-    if r.bytes.is_empty() { Ok(output) } else { Err(CodecError("there is more than it announces")) }
+    if r.bytes.is_empty() {
+        Ok(output)
+    } else {
+        Err(CodecError("there is more than it announces"))
+    }
 }

@@ -19,7 +19,10 @@ pub(super) struct Reader<'a> {
 
 impl Reader<'_> {
     pub(super) fn byte(&mut self) -> Result<u8, CodecError> {
-        let (first, rest) = self.bytes.split_first().ok_or(CodecError("it is cut short"))?;
+        let (first, rest) = self
+            .bytes
+            .split_first()
+            .ok_or(CodecError("it is cut short"))?;
         self.bytes = rest;
         Ok(*first)
     }
@@ -39,7 +42,11 @@ impl Reader<'_> {
     /// A count of things that take at least `least` bytes each.
     fn count(&mut self, least: usize) -> Result<usize, CodecError> {
         let n = self.u32()? as usize;
-        if n <= self.bytes.len() / least { Ok(n) } else { Err(CodecError("it announces more than there is")) }
+        if n <= self.bytes.len() / least {
+            Ok(n)
+        } else {
+            Err(CodecError("it announces more than there is"))
+        }
     }
 
     fn ids(&mut self) -> Result<Vec<u32>, CodecError> {
@@ -97,7 +104,15 @@ impl Reader<'_> {
             let keep = keep(p);
             let pixels = self.pixels(keep)?;
             if keep {
-                samples.push((p, Arc::new(VisibilitySample { ids, strata, dominant, pixels })));
+                samples.push((
+                    p,
+                    Arc::new(VisibilitySample {
+                        ids,
+                        strata,
+                        dominant,
+                        pixels,
+                    }),
+                ));
             }
         }
         Ok(Pack { samples })
@@ -114,7 +129,9 @@ impl Reader<'_> {
         }
         if keep {
             let left = self.room.checked_sub(4 * n as u64);
-            self.room = left.ok_or(CodecError("its pixels unpack to more than its tile can have"))?;
+            self.room = left.ok_or(CodecError(
+                "its pixels unpack to more than its tile can have",
+            ))?;
         }
         let (mut pixels, mut read) = (Vec::new(), 0);
         while read < n {
@@ -136,7 +153,8 @@ impl Reader<'_> {
         for n in &mut numbers {
             *n = self.u64()?;
         }
-        CellStats::from_numbers(numbers).ok_or(CodecError("a cell's statistics are beyond their range"))
+        CellStats::from_numbers(numbers)
+            .ok_or(CodecError("a cell's statistics are beyond their range"))
     }
 
     pub(super) fn cells(&mut self) -> Result<CellSets, CodecError> {
@@ -156,7 +174,10 @@ impl Reader<'_> {
                     open -= 1;
                 }
                 axis @ 0..3 => {
-                    nodes.push(Node::Split(Split { axis: axis.into(), at: self.u32()? }));
+                    nodes.push(Node::Split(Split {
+                        axis: axis.into(),
+                        at: self.u32()?,
+                    }));
                     open += 1;
                 }
                 _ => return Err(CodecError("a node's kind is unknown")),
@@ -165,7 +186,10 @@ impl Reader<'_> {
         if open != 0 {
             return Err(CodecError("its tree is not whole"));
         }
-        let mut sets = CellSets { nodes, ..CellSets::default() };
+        let mut sets = CellSets {
+            nodes,
+            ..CellSets::default()
+        };
         for _ in 0..cells {
             let (visible, samples, stats) = (self.ids()?, self.u32()?, self.stats()?);
             let unreached = match self.byte()? {
@@ -175,7 +199,14 @@ impl Reader<'_> {
             };
             let hits = self.hits(visible.len())?;
             let decision = self.decision(&visible)?;
-            sets.cells.push(CellSet { visible, samples, stats, decision, unreached, hits });
+            sets.cells.push(CellSet {
+                visible,
+                samples,
+                stats,
+                decision,
+                unreached,
+                hits,
+            });
         }
         sets.pairs = self.pairs()?;
         sets.portals = self.counted()?;
@@ -210,7 +241,11 @@ impl Reader<'_> {
             }
             counts.push(count);
         }
-        Ok(Some(Hits { viewpoints, lines, counts }))
+        Ok(Some(Hits {
+            viewpoints,
+            lines,
+            counts,
+        }))
     }
 
     fn pairs(&mut self) -> Result<Option<TilePairs>, CodecError> {
@@ -226,7 +261,11 @@ impl Reader<'_> {
             return Err(CodecError("it has pairs of too many cells"));
         }
         let seen = self.pair_table(cells)?;
-        let hidden = if hidden { Some(self.pair_table(cells)?) } else { None };
+        let hidden = if hidden {
+            Some(self.pair_table(cells)?)
+        } else {
+            None
+        };
         Ok(Some(TilePairs { seen, hidden }))
     }
 
@@ -237,7 +276,10 @@ impl Reader<'_> {
             if bounds.len() % 2 != 0 || bounds.first().is_some_and(|first| *first < cell) {
                 return Err(CodecError("a row of pairs is malformed"));
             }
-            bounds.chunks_exact(2).flat_map(|run| run[0]..run[1]).for_each(|b| table.insert(cell, b));
+            bounds
+                .chunks_exact(2)
+                .flat_map(|run| run[0]..run[1])
+                .for_each(|b| table.insert(cell, b));
         }
         Ok(table)
     }
@@ -259,6 +301,10 @@ impl Reader<'_> {
         }
         let counts = (0..n).map(|_| self.u64()).collect::<Result<_, _>>()?;
         let certificate = self.counted()?;
-        Ok(Some(Decision { undecided, counts, certificate }))
+        Ok(Some(Decision {
+            undecided,
+            counts,
+            certificate,
+        }))
     }
 }

@@ -16,32 +16,43 @@ fn ids() -> impl Strategy<Value = Vec<u32>> {
 }
 
 fn sample() -> impl Strategy<Value = VisibilitySample> {
-    (ids(), any::<u32>(), proptest::option::of(0u32..1000), proptest::option::of(1usize..30)).prop_map(
-        |(ids, seed, dominant, pixels)| VisibilitySample {
+    (
+        ids(),
+        any::<u32>(),
+        proptest::option::of(0u32..1000),
+        proptest::option::of(1usize..30),
+    )
+        .prop_map(|(ids, seed, dominant, pixels)| VisibilitySample {
             strata: ids.iter().map(|i| i.wrapping_mul(seed)).collect(),
             ids,
             dominant,
             pixels: pixels.map(|n| (0..n as u32).map(|i| (i / 3).wrapping_sub(1)).collect()),
-        },
-    )
+        })
 }
 
 fn outputs() -> impl Strategy<Value = TileOutput> {
     let pack = proptest::collection::btree_map(any::<[u32; 3]>(), sample(), 0..6).prop_map(|m| {
-        TileOutput::Pack(Pack { samples: m.into_iter().map(|(p, s)| (p, Arc::new(s))).collect() })
+        TileOutput::Pack(Pack {
+            samples: m.into_iter().map(|(p, s)| (p, Arc::new(s))).collect(),
+        })
     });
-    let cells =
-        (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(|(a, b, axis, at, samples)| {
+    let cells = (ids(), ids(), 0usize..3, any::<u32>(), any::<u32>()).prop_map(
+        |(a, b, axis, at, samples)| {
             TileOutput::Cells(CellSets {
                 portals: vec![1, 2, 3],
                 pairs: (samples % 2 == 0).then(|| {
                     let table = |step: u32| {
                         let mut table = PairTable::empty(70);
-                        (0..70).step_by(3).for_each(|c| table.insert(c, c.wrapping_mul(step) % 70));
+                        (0..70)
+                            .step_by(3)
+                            .for_each(|c| table.insert(c, c.wrapping_mul(step) % 70));
                         table
                     };
                     let hidden = (at % 2 == 0).then(|| table(at));
-                    TilePairs { seen: table(samples), hidden }
+                    TilePairs {
+                        seen: table(samples),
+                        hidden,
+                    }
                 }),
                 nodes: vec![Node::Split(Split { axis, at }), Node::Cell, Node::Cell],
                 cells: vec![
@@ -75,7 +86,8 @@ fn outputs() -> impl Strategy<Value = TileOutput> {
                     },
                 ],
             })
-        });
+        },
+    );
     prop_oneof![pack, cells]
 }
 
@@ -139,7 +151,10 @@ fn fuzzed_outputs_do_not_crash() {
         decoded += usize::from(ran.unwrap_or_else(|_| panic!("round {round}: {bytes:02x?}")));
     }
     // Mutations that are all rejected, or all decoded, would reach little of the code.
-    assert!((rounds / 50..rounds - rounds / 50).contains(&decoded), "{decoded} of {rounds} were decoded");
+    assert!(
+        (rounds / 50..rounds - rounds / 50).contains(&decoded),
+        "{decoded} of {rounds} were decoded"
+    );
 }
 
 /// A few bytes can announce 400 MB of equal pixels for each sample.
@@ -147,17 +162,32 @@ fn fuzzed_outputs_do_not_crash() {
 fn pixels_unpack_to_no_more_than_limit() {
     let most = 1u32 << 20;
     let sample = |k: u32| {
-        let sample =
-            VisibilitySample { pixels: Some(vec![7; 3 << 17].into()), ..VisibilitySample::default() };
+        let sample = VisibilitySample {
+            pixels: Some(vec![7; 3 << 17].into()),
+            ..VisibilitySample::default()
+        };
         ([k, 0, 0], Arc::new(sample))
     };
-    let pack = |n: u32| encode(&TileOutput::Pack(Pack { samples: (0..n).map(sample).collect() })).unwrap();
+    let pack = |n: u32| {
+        encode(&TileOutput::Pack(Pack {
+            samples: (0..n).map(sample).collect(),
+        }))
+        .unwrap()
+    };
     let read = |bytes: &[u8], keep: bool| super::read(bytes, 1000, (b"P", most.into()), &|_| keep);
     assert!(pack(3).len() < 100, "the pixels are one run each");
     // 1.5 MB of pixels a sample.
     assert_eq!(read(&pack(0), true).map(|_| ()), Ok(()));
-    assert_eq!(read(&pack(1), true), Err(CodecError("its pixels unpack to more than its tile can have")));
-    assert!(read(&pack(3), false).is_ok(), "pixels that are not kept cost no memory");
+    assert_eq!(
+        read(&pack(1), true),
+        Err(CodecError(
+            "its pixels unpack to more than its tile can have"
+        ))
+    );
+    assert!(
+        read(&pack(3), false).is_ok(),
+        "pixels that are not kept cost no memory"
+    );
     assert!(decode(&pack(3), 1000).is_ok());
 }
 
@@ -169,10 +199,25 @@ fn many_cells_are_coded_as_a_few_are() {
         ..CellSet::default()
     };
     let split = |at| Node::Split(Split { axis: 0, at });
-    let nodes = vec![split(4), split(2), Node::Cell, Node::Cell, split(6), Node::Cell, Node::Cell];
-    let sets = CellSets { nodes, cells: (0..4).map(cell).collect(), pairs: None, portals: Vec::new() };
+    let nodes = vec![
+        split(4),
+        split(2),
+        Node::Cell,
+        Node::Cell,
+        split(6),
+        Node::Cell,
+        Node::Cell,
+    ];
+    let sets = CellSets {
+        nodes,
+        cells: (0..4).map(cell).collect(),
+        pairs: None,
+        portals: Vec::new(),
+    };
     let mut one_by_one = Vec::new();
-    sets.cells.iter().for_each(|c| put_cell(c, &mut one_by_one).unwrap());
+    sets.cells
+        .iter()
+        .for_each(|c| put_cell(c, &mut one_by_one).unwrap());
     let output = TileOutput::Cells(sets);
     let bytes = encode(&output).unwrap();
     let raw = zstd::stream::decode_all(bytes.as_slice()).unwrap();
@@ -186,7 +231,11 @@ fn many_cells_are_coded_as_a_few_are() {
 fn ids_beyond_the_scene_are_refused() {
     let sets = CellSets {
         nodes: vec![Node::Cell],
-        cells: vec![CellSet { visible: vec![5], samples: 1, ..CellSet::default() }],
+        cells: vec![CellSet {
+            visible: vec![5],
+            samples: 1,
+            ..CellSet::default()
+        }],
         pairs: None,
         portals: Vec::new(),
     };
@@ -199,8 +248,15 @@ fn ids_beyond_the_scene_are_refused() {
 #[test]
 fn what_is_undecided_has_to_be_in_the_set() {
     let sets = |undecided: &[u32]| {
-        let decision = Some(Decision { undecided: undecided.to_vec(), ..Decision::default() });
-        let cell = CellSet { visible: vec![2, 5], decision, ..CellSet::default() };
+        let decision = Some(Decision {
+            undecided: undecided.to_vec(),
+            ..Decision::default()
+        });
+        let cell = CellSet {
+            visible: vec![2, 5],
+            decision,
+            ..CellSet::default()
+        };
         encode(&TileOutput::Cells(CellSets {
             nodes: vec![Node::Cell],
             cells: vec![cell],
@@ -224,10 +280,20 @@ fn a_bomb_is_refused() {
     let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
     assert!(bomb.len() < 1 << 20, "{}", bomb.len());
     for is_pack in [false, true] {
-        assert!(check(&bomb, 1000, is_pack, 1 << 20).unwrap_err().to_string().contains("kind"));
+        assert!(
+            check(&bomb, 1000, is_pack, 1 << 20)
+                .unwrap_err()
+                .to_string()
+                .contains("kind")
+        );
     }
     // With the right first byte.
     let zeros = std::io::Read::chain(&b"C"[..], std::io::Read::take(std::io::repeat(0), 4 << 30));
     let bomb = zstd::stream::encode_all(zeros, 1).unwrap();
-    assert!(check(&bomb, 1000, false, 1 << 20).unwrap_err().to_string().contains("more than its tile"));
+    assert!(
+        check(&bomb, 1000, false, 1 << 20)
+            .unwrap_err()
+            .to_string()
+            .contains("more than its tile")
+    );
 }

@@ -65,15 +65,20 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     .par_iter()
                     .map(|cell| {
                         // Most ids take a byte.
-                        let mut raw = Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
+                        let mut raw =
+                            Vec::with_capacity(cell.visible.len() + cell.visible.len() / 4 + 64);
                         put_cell(cell, &mut raw).map(|()| raw)
                     })
                     .collect::<Result<_, _>>()?;
                 raw.reserve(cells.iter().map(Vec::len).sum());
                 // Each is dropped as soon as it is copied.
-                cells.into_iter().for_each(|cell| raw.extend_from_slice(&cell));
+                cells
+                    .into_iter()
+                    .for_each(|cell| raw.extend_from_slice(&cell));
             } else {
-                sets.cells.iter().try_for_each(|cell| put_cell(cell, &mut raw))?;
+                sets.cells
+                    .iter()
+                    .try_for_each(|cell| put_cell(cell, &mut raw))?;
             }
             match &sets.pairs {
                 None => raw.push(0),
@@ -81,7 +86,10 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
                     raw.push(if pairs.hidden.is_some() { 2 } else { 1 });
                     put(&mut raw, pairs.seen.cells());
                     put_pairs(&mut raw, &pairs.seen);
-                    pairs.hidden.iter().for_each(|hidden| put_pairs(&mut raw, hidden));
+                    pairs
+                        .hidden
+                        .iter()
+                        .for_each(|hidden| put_pairs(&mut raw, hidden));
                 }
             }
             varint::write(&mut raw, sets.portals.len() as u64);
@@ -100,7 +108,10 @@ pub fn encode(output: &TileOutput) -> Result<Vec<u8>, std::io::Error> {
 pub(super) fn put_cell(cell: &CellSet, raw: &mut Vec<u8>) -> Result<(), std::io::Error> {
     put_ids(raw, &cell.visible);
     put(raw, cell.samples);
-    cell.stats.numbers().into_iter().for_each(|n| varint::write(raw, n));
+    cell.stats
+        .numbers()
+        .into_iter()
+        .for_each(|n| varint::write(raw, n));
     raw.push(u8::from(cell.unreached));
     match &cell.hits {
         None => raw.push(0),

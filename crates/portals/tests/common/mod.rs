@@ -13,7 +13,14 @@ use sightline_scene::{Object, Scene, Triangle};
 /// Two triangles a quad; corners in order.
 fn quad(v: [[f32; 3]; 4]) -> [Triangle; 2] {
     let v = v.map(Vec3::from);
-    [Triangle { v: [v[0], v[1], v[2]] }, Triangle { v: [v[0], v[2], v[3]] }]
+    [
+        Triangle {
+            v: [v[0], v[1], v[2]],
+        },
+        Triangle {
+            v: [v[0], v[2], v[3]],
+        },
+    ]
 }
 
 /// A rectangle across an axis.
@@ -28,7 +35,11 @@ pub fn across(axis: usize, at: f32, u: [f32; 2], v: [f32; 2]) -> [Triangle; 2] {
 }
 
 pub fn scene(triangles: Vec<Triangle>) -> Scene {
-    let object = Object { name: "all".to_owned(), first: 0, count: triangles.len() as u32 };
+    let object = Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: triangles.len() as u32,
+    };
     Scene::new("test", triangles, vec![object]).unwrap()
 }
 
@@ -63,9 +74,17 @@ pub fn building(seed: u64, angle: f32) -> Scene {
     for _ in 0..20 {
         let p = Vec3::new(3.0 * unit(), 2.0 * unit(), 2.0 * unit());
         let mut off = || (Vec3::new(unit(), unit(), unit()) - 0.5) * 0.4;
-        all.push(Triangle { v: [p, p + off(), p + off()] });
+        all.push(Triangle {
+            v: [p, p + off(), p + off()],
+        });
     }
-    scene(all.into_iter().map(|t| Triangle { v: t.v.map(|p| turned(p, angle)) }).collect())
+    scene(
+        all.into_iter()
+            .map(|t| Triangle {
+                v: t.v.map(|p| turned(p, angle)),
+            })
+            .collect(),
+    )
 }
 
 /// Where a point of a building is in the building turned by an angle.
@@ -92,10 +111,17 @@ pub struct Lists {
 /// Lists a building that was turned by an angle.
 pub fn lists(seed: u64, angle: f32) -> Lists {
     let scene = building(seed, angle);
-    let partition = Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
+    let partition =
+        Partition::new(&scene, None, scene.bounds(), Limits::default(), &|| false).unwrap();
     let prepared = ExactScene::prepare(&scene).unwrap();
-    let mut lists = Lists { leaves: partition.leaves(), portals: 0, exact: 0 };
-    for place in (0..12u8).map(|k| Vec3::new(f32::from(k % 3), f32::from(k / 3 % 2), f32::from(k / 6))) {
+    let mut lists = Lists {
+        leaves: partition.leaves(),
+        portals: 0,
+        exact: 0,
+    };
+    for place in
+        (0..12u8).map(|k| Vec3::new(f32::from(k % 3), f32::from(k / 3 % 2), f32::from(k / 6)))
+    {
         let middle = turned(place + 0.5, angle);
         let cell = Aabb::new(middle - 0.1, middle + 0.1);
         let listed = sights(&partition, cell, false, &|| false).unwrap();

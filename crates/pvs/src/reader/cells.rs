@@ -66,9 +66,11 @@ impl Pvs {
                 continue;
             }
             let covered = (0..3).all(|a| min[a] <= lo[a] && hi[a] <= max[a]);
-            let (Node::Split { axis, at }, Some(upper), false) =
-                (self.tree.nodes()[node as usize], self.tree.upper(node), covered)
-            else {
+            let (Node::Split { axis, at }, Some(upper), false) = (
+                self.tree.nodes()[node as usize],
+                self.tree.upper(node),
+                covered,
+            ) else {
                 return Ok(true);
             };
             let a = usize::from(axis);

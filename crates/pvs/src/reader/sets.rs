@@ -62,7 +62,11 @@ impl Pvs {
     /// out. An item that does not exist has none.
     pub fn item_triangles(&self, item: u32, ids: &mut Vec<u32>) {
         ids.clear();
-        ids.extend(self.item_bounds(item).chunks_exact(2).flat_map(|run| run[0]..run[1]));
+        ids.extend(
+            self.item_bounds(item)
+                .chunks_exact(2)
+                .flat_map(|run| run[0]..run[1]),
+        );
     }
 
     /// [`Self::item_triangles`] as the boundaries of maximal runs ([`crate::runs`]).
@@ -101,7 +105,10 @@ impl Pvs {
     pub fn visible_bits(&self, cell: u32, bits: &mut [u64]) -> Result<(), PvsError> {
         let needed = self.words();
         if bits.len() != needed {
-            return Err(PvsError::BitsLength { given: bits.len(), needed });
+            return Err(PvsError::BitsLength {
+                given: bits.len(),
+                needed,
+            });
         }
         bits.fill(0);
         match self.items {
@@ -144,7 +151,9 @@ impl Pvs {
         let [known] = runs::sweep([&visible, &undecided], |m| u32::from(m == 1));
         let mut seen = Vec::new();
         let mut next = 0;
-        known.chunks_exact(2).for_each(|run| self.touched(run[0]..run[1], &mut next, &mut seen));
+        known
+            .chunks_exact(2)
+            .for_each(|run| self.touched(run[0]..run[1], &mut next, &mut seen));
         objects.retain(|object| seen.binary_search(object).is_err());
         Ok(())
     }
@@ -199,7 +208,10 @@ impl Pvs {
     pub fn visible_bytes(&self, cell: u32) -> Result<NodeBytes, PvsError> {
         let leaf = self.leaf(cell)?;
         let own = self.set(Section::Visible, leaf)?.len() as u64;
-        Ok(NodeBytes { own, path: self.path_bytes(Section::Visible, leaf)? as u64 })
+        Ok(NodeBytes {
+            own,
+            path: self.path_bytes(Section::Visible, leaf)? as u64,
+        })
     }
 
     /// Returns the bytes of the sets that are read to decode the set of a leaf.
@@ -218,7 +230,11 @@ impl Pvs {
     /// Bytes of the whole file, of its visible sets and of its undecided sets (the sets with their offsets).
     pub fn file_bytes(&self) -> [u64; 3] {
         let part = |s| self.part(s).len() as u64;
-        [self.bytes.get().len() as u64, part(Section::Visible), part(Section::Undecided)]
+        [
+            self.bytes.get().len() as u64,
+            part(Section::Visible),
+            part(Section::Undecided),
+        ]
     }
 
     /// The bytes of the visible sets as they are in the file, for comparing ways of coding them.
@@ -288,10 +304,17 @@ impl Pvs {
     }
 
     fn no_memory(&self) -> PvsError {
-        PvsError::Memory { triangles: self.layout.triangles }
+        PvsError::Memory {
+            triangles: self.layout.triangles,
+        }
     }
 
-    fn objects_of(&self, section: Section, cell: u32, objects: &mut Vec<u32>) -> Result<(), PvsError> {
+    fn objects_of(
+        &self,
+        section: Section,
+        cell: u32,
+        objects: &mut Vec<u32>,
+    ) -> Result<(), PvsError> {
         if let ItemTable::Objects { .. } = self.items {
             return self.item_ids(section, cell, objects);
         }
@@ -390,12 +413,18 @@ impl Pvs {
     /// Decodes the set of a cell into memory that is in proportion to its coded bytes, or small.
     fn marks(&self, section: Section, cell: u32) -> Result<Marks, PvsError> {
         let leaf = self.leaf(cell)?;
-        let bytes = if self.part(section).is_empty() { 0 } else { self.path_bytes(section, leaf)? };
+        let bytes = if self.part(section).is_empty() {
+            0
+        } else {
+            self.path_bytes(section, leaf)?
+        };
         if self.item_words() * 8 > MOST_FREE_BYTES.max(MOST_GROWTH * bytes) {
             return self.sorted(section, cell).map(Marks::Bounds);
         }
         let mut words = Vec::new();
-        words.try_reserve_exact(self.item_words()).map_err(|_| self.no_memory())?;
+        words
+            .try_reserve_exact(self.item_words())
+            .map_err(|_| self.no_memory())?;
         words.resize(self.item_words(), 0u64);
         self.boundaries(section, cell, &mut words)?;
         Ok(Marks::Words(words))

@@ -83,8 +83,16 @@ enum Step {
 
 impl Helper {
     /// A helper that has heard nothing. `out` must not wait for the leader.
-    pub fn new(watcher: Arc<dyn Watcher + Send>, out: impl Fn(FromHelper) + Send + Sync + 'static) -> Self {
-        Self { state: Mutex::default(), changed: Condvar::new(), watcher, out: Box::new(out) }
+    pub fn new(
+        watcher: Arc<dyn Watcher + Send>,
+        out: impl Fn(FromHelper) + Send + Sync + 'static,
+    ) -> Self {
+        Self {
+            state: Mutex::default(),
+            changed: Condvar::new(),
+            watcher,
+            out: Box::new(out),
+        }
     }
 
     /// Takes a message. Called from any thread; never waits.
@@ -127,7 +135,10 @@ impl Helper {
             }
             // Pieces of phases that are over are of no use.
             state.pieces.retain(|(phase, _)| *phase >= number);
-            if state.pieces.front().is_some_and(|(phase, _)| *phase == number)
+            if state
+                .pieces
+                .front()
+                .is_some_and(|(phase, _)| *phase == number)
                 && let Some((_, items)) = state.pieces.pop_front()
             {
                 return Step::Compute(items);
@@ -155,21 +166,31 @@ impl Crew for Helper {
                         tracing::warn!("the outcome of phase {number} is of no use: {e}");
                     }
                     let whole = added.is_ok() && (0..phase.items()).all(|item| phase.has(item));
-                    return if whole { Ok(()) } else { Err(TileError::Cancelled) };
+                    return if whole {
+                        Ok(())
+                    } else {
+                        Err(TileError::Cancelled)
+                    };
                 }
                 Step::Compute(items) => {
                     if items.iter().any(|i| *i as usize >= phase.items()) {
                         tracing::warn!("the leader gave items that phase {number} does not have");
                         return Err(TileError::Cancelled);
                     }
-                    items.par_iter().with_max_len(1).try_for_each(|item| match self.is_finished(number) {
-                        true => Ok(()),
-                        false => phase.compute(*item as usize, &|| self.is_finished(number)),
+                    items.par_iter().with_max_len(1).try_for_each(|item| {
+                        match self.is_finished(number) {
+                            true => Ok(()),
+                            false => phase.compute(*item as usize, &|| self.is_finished(number)),
+                        }
                     })?;
                     if !self.is_finished(number) {
                         let places: Vec<usize> = items.iter().map(|i| *i as usize).collect();
                         let finds = phase.take(&places);
-                        (self.out)(FromHelper::Found { phase: number, items, finds });
+                        (self.out)(FromHelper::Found {
+                            phase: number,
+                            items,
+                            finds,
+                        });
                         (self.out)(FromHelper::Ask { phase: number });
                     }
                 }

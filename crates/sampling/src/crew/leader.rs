@@ -126,8 +126,16 @@ impl Leader {
         watcher: Arc<dyn Watcher + Send>,
         out: impl Fn(FromLeader) + Send + Sync + 'static,
     ) -> Self {
-        let state = State { earlier: (0..).zip(outcomes).collect(), ..State::default() };
-        Self { state: Mutex::new(state), news: Condvar::new(), watcher, out: Box::new(out) }
+        let state = State {
+            earlier: (0..).zip(outcomes).collect(),
+            ..State::default()
+        };
+        Self {
+            state: Mutex::new(state),
+            news: Condvar::new(),
+            watcher,
+            out: Box::new(out),
+        }
     }
 
     /// Acts on a message. Called from any thread; never waits for a phase.
@@ -139,7 +147,8 @@ impl Leader {
                 self.hand_over(&mut state);
             }
             ToLeader::Ask { member, phase } => {
-                let is_new = state.helpers.contains(&member) && state.ready.insert(member, phase).is_none();
+                let is_new =
+                    state.helpers.contains(&member) && state.ready.insert(member, phase).is_none();
                 if is_new && phase < state.number {
                     // The phase is over; the helper is given some of the present one.
                     let now = state.number;
@@ -153,16 +162,26 @@ impl Leader {
                     self.give(&mut state);
                 }
             }
-            ToLeader::Found { member, phase, items, finds } => {
+            ToLeader::Found {
+                member,
+                phase,
+                items,
+                finds,
+            } => {
                 // Late finds are not needed: the phase is over.
-                if state.helpers.contains(&member) && phase == state.number && state.queue.is_some() {
+                if state.helpers.contains(&member) && phase == state.number && state.queue.is_some()
+                {
                     state.done.push_back((member, items, finds));
                     self.news.notify_one();
                 }
             }
             ToLeader::Left(member) => self.dismiss(&mut state, member),
             ToLeader::Kept(phases) => {
-                while state.outcomes.front().is_some_and(|(phase, ..)| *phase < phases) {
+                while state
+                    .outcomes
+                    .front()
+                    .is_some_and(|(phase, ..)| *phase < phases)
+                {
                     state.outcomes.pop_front();
                 }
             }
@@ -173,7 +192,10 @@ impl Leader {
     /// leader has all others; without them helpers are of no use. `turn` makes `out` lead that way.
     pub fn reopened(&self, there: u32, turn: impl FnOnce()) -> bool {
         let mut state = self.lock();
-        let first = state.outcomes.front().map_or(state.number, |(phase, ..)| *phase);
+        let first = state
+            .outcomes
+            .front()
+            .map_or(state.number, |(phase, ..)| *phase);
         if there < first {
             return false;
         }
@@ -208,15 +230,25 @@ impl Leader {
     /// Gives free items to helpers that ask.
     fn give(&self, state: &mut State) {
         let (number, members) = (state.number, state.helpers.len() + 1);
-        let Some(queue) = &mut state.queue else { return };
+        let Some(queue) = &mut state.queue else {
+            return;
+        };
         let mut waiting = VecDeque::new();
         while let Some((member, phase)) = state.asking.pop_front() {
-            let piece = if phase == number { queue.piece(member, members) } else { Vec::new() };
+            let piece = if phase == number {
+                queue.piece(member, members)
+            } else {
+                Vec::new()
+            };
             if piece.is_empty() {
                 waiting.push_back((member, phase));
             } else {
                 let items = piece.into_iter().map(|i| i as u32).collect();
-                (self.out)(FromLeader::Take { member, phase, items });
+                (self.out)(FromLeader::Take {
+                    member,
+                    phase,
+                    items,
+                });
             }
         }
         state.asking = waiting;
@@ -229,7 +261,11 @@ impl Leader {
         // Later finds leave out what earlier ones held.
         state.done.retain(|(m, ..)| *m != member);
         state.asking.retain(|(m, _)| *m != member);
-        if state.queue.as_mut().is_some_and(|queue| queue.take_back(member)) {
+        if state
+            .queue
+            .as_mut()
+            .is_some_and(|queue| queue.take_back(member))
+        {
             self.give(state);
         }
     }
@@ -241,7 +277,10 @@ impl Leader {
             let (phase, bytes, time) = (*phase, Arc::clone(bytes), *time);
             (self.out)(FromLeader::Outcome { phase, bytes, time });
         }
-        state.handed = state.outcomes.back().map_or(from, |(phase, ..)| from.max(phase + 1));
+        state.handed = state
+            .outcomes
+            .back()
+            .map_or(from, |(phase, ..)| from.max(phase + 1));
         state.handed_over = Some(Instant::now());
     }
 
@@ -312,7 +351,10 @@ impl Leader {
                 self.add(phase, member, &items, &finds);
                 state = self.lock();
             } else {
-                state = self.news.wait(state).unwrap_or_else(PoisonError::into_inner);
+                state = self
+                    .news
+                    .wait(state)
+                    .unwrap_or_else(PoisonError::into_inner);
             }
         }
     }
@@ -363,7 +405,9 @@ impl Crew for Leader {
                 // One that knows the outcomes of later phases drops items of this one.
                 let ready = state.ready.iter().filter(|(_, from)| **from <= number);
                 let ready: Vec<Member> = ready.map(|(member, _)| *member).collect();
-                state.asking.extend(ready.into_iter().map(|member| (member, number)));
+                state
+                    .asking
+                    .extend(ready.into_iter().map(|member| (member, number)));
             }
             self.give(&mut state);
         }
@@ -372,7 +416,8 @@ impl Crew for Leader {
             threads.spawn(|| self.add_all(phase));
             let _over = Over(self);
             rayon::scope(|scope| {
-                (0..rayon::current_num_threads()).for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
+                (0..rayon::current_num_threads())
+                    .for_each(|_| scope.spawn(|_| self.work(phase, &failed)));
             });
         });
         let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -389,8 +434,14 @@ impl Crew for Leader {
         let bytes = phase.outcome();
         let mut state = self.lock();
         let times = [prepared, computed - prepared, begun.elapsed() - computed];
-        state.times.iter_mut().zip(times).for_each(|(sum, time)| *sum += time);
-        state.outcomes.push_back((number, Arc::new(bytes), begun.elapsed()));
+        state
+            .times
+            .iter_mut()
+            .zip(times)
+            .for_each(|(sum, time)| *sum += time);
+        state
+            .outcomes
+            .push_back((number, Arc::new(bytes), begun.elapsed()));
         if !state.helpers.is_empty() || since.elapsed() >= HAND_OVER {
             self.hand_over(&mut state);
         }

@@ -24,7 +24,11 @@ pub trait Phase: Sync {
     ///
     /// # Errors
     /// [`TileError`] when the tile is cancelled or the backend fails.
-    fn compute(&self, item: usize, is_needless: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError>;
+    fn compute(
+        &self,
+        item: usize,
+        is_needless: &(dyn Fn() -> bool + Sync),
+    ) -> Result<(), TileError>;
 
     /// Whether the answer of an item is here.
     fn has(&self, item: usize) -> bool;

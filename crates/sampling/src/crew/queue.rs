@@ -31,7 +31,12 @@ impl Queue {
         let mut items: Vec<usize> = (0..costs.len()).collect();
         items.sort_by_key(|i| std::cmp::Reverse(costs[*i]));
         let left = costs.iter().fold(0, |sum: u64, c| sum.saturating_add(*c));
-        Self { free: items.into(), costs, left, ..Self::default() }
+        Self {
+            free: items.into(),
+            costs,
+            left,
+            ..Self::default()
+        }
     }
 
     /// The next item for the leader.
@@ -73,7 +78,12 @@ impl Queue {
 
     /// Takes back the items of a helper that has gone; returns whether there were some.
     pub fn take_back(&mut self, member: Member) -> bool {
-        let back: Vec<usize> = self.given.iter().filter(|(_, m)| **m == member).map(|(i, _)| *i).collect();
+        let back: Vec<usize> = self
+            .given
+            .iter()
+            .filter(|(_, m)| **m == member)
+            .map(|(i, _)| *i)
+            .collect();
         for item in &back {
             self.given.remove(item);
             if !self.repeated.remove(item) {
@@ -104,7 +114,10 @@ mod tests {
             piece.iter().for_each(|i| assert!(seen.insert(*i)));
         }
         assert_eq!(seen.len(), 100);
-        assert!(sizes[0] >= (5050 - 100) / 8 && sizes[0] < 5050 / 4, "{sizes:?}");
+        assert!(
+            sizes[0] >= (5050 - 100) / 8 && sizes[0] < 5050 / 4,
+            "{sizes:?}"
+        );
         assert!(sizes.windows(2).all(|w| w[0] + 50 >= w[1]), "{sizes:?}");
     }
 

@@ -41,7 +41,11 @@ struct Entry {
 impl SampleCache {
     /// An empty cache for the tile that covers `tile`.
     pub fn new(tile: CellBox) -> Self {
-        Self { tile, entries: BTreeMap::new(), counters: CacheCounters::default() }
+        Self {
+            tile,
+            entries: BTreeMap::new(),
+            counters: CacheCounters::default(),
+        }
     }
 
     /// Inserts a sample. The first for a position stays: all samples of one position are equally valid, and
@@ -53,7 +57,10 @@ impl SampleCache {
         }
         self.entries.entry(p).or_insert_with(|| {
             self.counters.inserted += 1;
-            Entry { sample, final_octants: outside }
+            Entry {
+                sample,
+                final_octants: outside,
+            }
         });
         self.counters.most_held = self.counters.most_held.max(self.entries.len() as u64);
     }
@@ -69,7 +76,11 @@ impl SampleCache {
     pub fn on_surface(&self, cell: &CellBox) -> Vec<&VisibilitySample> {
         let x = |x: u32| [x, 0, 0];
         let range = x(cell.lo[0])..=[cell.hi[0], u32::MAX, u32::MAX];
-        self.entries.range(range).filter(|(p, _)| cell.on_surface(**p)).map(|(_, e)| &*e.sample).collect()
+        self.entries
+            .range(range)
+            .filter(|(p, _)| cell.on_surface(**p))
+            .map(|(_, e)| &*e.sample)
+            .collect()
     }
 
     /// Counts the octants of a finished cell and drops the samples that become final.
@@ -96,7 +107,10 @@ mod tests {
 
     #[test]
     fn samples_are_dropped_when_their_last_cell_is_finished() {
-        let tile = CellBox { lo: [0; 3], hi: [4; 3] };
+        let tile = CellBox {
+            lo: [0; 3],
+            hi: [4; 3],
+        };
         let mut cache = SampleCache::new(tile);
         let sample = Arc::new(VisibilitySample::default());
         for x in 0..=4 {
@@ -110,7 +124,10 @@ mod tests {
         }
         let mut cells = vec![tile];
         for axis in 0..3 {
-            cells = cells.iter().flat_map(|c| c.children(Split { axis, at: 2 })).collect();
+            cells = cells
+                .iter()
+                .flat_map(|c| c.children(Split { axis, at: 2 }))
+                .collect();
         }
         for (i, cell) in cells.iter().enumerate() {
             assert!(!cache.entries.is_empty(), "cell {i} finds its samples");
@@ -123,7 +140,10 @@ mod tests {
 
     #[test]
     fn what_lies_outside_the_tile_is_not_kept() {
-        let mut cache = SampleCache::new(CellBox { lo: [0; 3], hi: [4; 3] });
+        let mut cache = SampleCache::new(CellBox {
+            lo: [0; 3],
+            hi: [4; 3],
+        });
         cache.insert([5, 0, 0], Arc::default());
         assert!(cache.entries.is_empty());
     }

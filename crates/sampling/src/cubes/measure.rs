@@ -29,7 +29,13 @@ fn stratified(samples: &[&VisibilitySample]) -> f64 {
     let mut sizes = [[0u32; 32]; 4];
     let mut at = [0usize; 4];
     // One walk over the sorted ids of all samples at once.
-    while let Some(id) = samples.iter().zip(at).filter_map(|(s, i)| s.ids.get(i)).min().copied() {
+    while let Some(id) = samples
+        .iter()
+        .zip(at)
+        .filter_map(|(s, i)| s.ids.get(i))
+        .min()
+        .copied()
+    {
         let mut all = u32::MAX;
         for ((s, i), size) in samples.iter().zip(&mut at).zip(&mut sizes) {
             let mask = if s.ids.get(*i) == Some(&id) {
@@ -67,12 +73,18 @@ fn each_bit(mut mask: u32, mut f: impl FnMut(usize)) {
 /// Samples without pixels count as entirely different. Cubes with the parameters of [`crate::CubeSpec::of`]
 /// have pixels.
 fn strict(samples: &[&VisibilitySample]) -> f64 {
-    let Some(pixels) = samples.iter().map(|s| s.pixels.as_deref()).collect::<Option<Vec<_>>>() else {
+    let Some(pixels) = samples
+        .iter()
+        .map(|s| s.pixels.as_deref())
+        .collect::<Option<Vec<_>>>()
+    else {
         debug_assert!(false, "Err′ needs samples with pixels");
         return 1.0;
     };
     let n = pixels[0].len();
-    let different = (0..n).filter(|i| pixels.iter().any(|p| p.get(*i) != pixels[0].get(*i))).count();
+    let different = (0..n)
+        .filter(|i| pixels.iter().any(|p| p.get(*i) != pixels[0].get(*i)))
+        .count();
     different as f64 / n as f64
 }
 
@@ -81,7 +93,11 @@ mod tests {
     use super::*;
 
     fn sample(ids: &[u32], strata: &[u32]) -> VisibilitySample {
-        VisibilitySample { ids: ids.into(), strata: strata.into(), ..Default::default() }
+        VisibilitySample {
+            ids: ids.into(),
+            strata: strata.into(),
+            ..Default::default()
+        }
     }
 
     #[test]
@@ -122,7 +138,10 @@ mod tests {
 
     #[test]
     fn err_prime_counts_pixels() {
-        let with = |pixels: &[u32]| VisibilitySample { pixels: Some(pixels.into()), ..Default::default() };
+        let with = |pixels: &[u32]| VisibilitySample {
+            pixels: Some(pixels.into()),
+            ..Default::default()
+        };
         let (a, b) = (with(&[1, 2, 3, 4]), with(&[1, 2, 4, 3]));
         assert_eq!(error(ErrorMeasure::Pixels, &[&a, &b, &a]), 0.5);
     }

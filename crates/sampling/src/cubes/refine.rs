@@ -28,7 +28,10 @@ pub trait SampleSource {
     ///
     /// # Errors
     /// The source's own.
-    fn samples(&mut self, points: &[LatticePoint]) -> Result<Vec<Arc<VisibilitySample>>, Self::Error>;
+    fn samples(
+        &mut self,
+        points: &[LatticePoint],
+    ) -> Result<Vec<Arc<VisibilitySample>>, Self::Error>;
 }
 
 /// Samples `rect` until the leaves of its quadtree are below the error threshold, small enough, or cannot be
@@ -46,8 +49,12 @@ pub fn refine<S: SampleSource>(
 ) -> Result<(), S::Error> {
     let mut level = vec![rect];
     while !level.is_empty() {
-        let points: Vec<LatticePoint> =
-            level.iter().flat_map(Rect::corners).collect::<BTreeSet<_>>().into_iter().collect();
+        let points: Vec<LatticePoint> = level
+            .iter()
+            .flat_map(Rect::corners)
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect();
         let samples = source.samples(&points)?;
         // Every corner is among the sorted points.
         let at = |p: &LatticePoint| points.binary_search(p).ok().map(|i| &*samples[i]);
@@ -57,8 +64,10 @@ pub fn refine<S: SampleSource>(
             let split = r.spans_cells() || {
                 let [a, b] = r.sides(lattice);
                 a.max(b) > min_distance && {
-                    let corner_samples: Vec<_> =
-                        corners.iter().filter_map(|p| at(p).map(|s| (*p, s))).collect();
+                    let corner_samples: Vec<_> = corners
+                        .iter()
+                        .filter_map(|p| at(p).map(|s| (*p, s)))
+                        .collect();
                     wants_split(&corner_samples, params, exterior)
                 }
             };
@@ -78,8 +87,9 @@ fn wants_split(
     params: &SamplingParams,
     exterior: &dyn Exterior,
 ) -> bool {
-    let (outside, inside): (Vec<_>, Vec<_>) =
-        corners.iter().partition(|(p, s)| !params.solids || exterior.is_exterior(*p, s));
+    let (outside, inside): (Vec<_>, Vec<_>) = corners
+        .iter()
+        .partition(|(p, s)| !params.solids || exterior.is_exterior(*p, s));
     let samples = |part: &[(LatticePoint, &VisibilitySample)]| -> f64 {
         let s: Vec<&VisibilitySample> = part.iter().map(|(_, s)| *s).collect();
         error(params.measure, &s)
@@ -99,7 +109,10 @@ mod tests {
     struct Edge(u32, Vec<LatticePoint>);
     impl SampleSource for Edge {
         type Error = std::convert::Infallible;
-        fn samples(&mut self, points: &[LatticePoint]) -> Result<Vec<Arc<VisibilitySample>>, Self::Error> {
+        fn samples(
+            &mut self,
+            points: &[LatticePoint],
+        ) -> Result<Vec<Arc<VisibilitySample>>, Self::Error> {
             self.1.extend(points);
             let one = |p: &LatticePoint| VisibilitySample {
                 ids: vec![u32::from(p[0] >= self.0)],
@@ -131,12 +144,27 @@ mod tests {
         let root = division.root(&lattice);
         let mut source = Edge(20_000, Vec::new());
         let params = SamplingParams::default();
-        refine(root.face(4), &lattice, 1.0 / 64.0, &params, &Open, &mut source).unwrap();
+        refine(
+            root.face(4),
+            &lattice,
+            1.0 / 64.0,
+            &params,
+            &Open,
+            &mut source,
+        )
+        .unwrap();
         let mut points = source.1;
         points.sort_unstable();
         points.dedup();
-        let near = points.iter().filter(|p| p[0].abs_diff(20_000) < 2_000).count();
-        assert!(near > 60 && near * 3 > points.len(), "{near} of {}", points.len());
+        let near = points
+            .iter()
+            .filter(|p| p[0].abs_diff(20_000) < 2_000)
+            .count();
+        assert!(
+            near > 60 && near * 3 > points.len(),
+            "{near} of {}",
+            points.len()
+        );
         assert!(points.len() < 400, "{}", points.len());
     }
 
@@ -146,7 +174,15 @@ mod tests {
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let mut source = Edge(0, Vec::new());
         let rect = division.root(&lattice).face(0);
-        refine(rect, &lattice, 1e-3, &SamplingParams::default(), &Open, &mut source).unwrap();
+        refine(
+            rect,
+            &lattice,
+            1e-3,
+            &SamplingParams::default(),
+            &Open,
+            &mut source,
+        )
+        .unwrap();
         assert_eq!(source.1.len(), 4);
     }
 
@@ -178,12 +214,34 @@ mod tests {
                 p == [0, 0, 0]
             }
         }
-        let s = VisibilitySample { ids: vec![1], strata: vec![1], ..Default::default() };
-        let t = VisibilitySample { ids: vec![2], strata: vec![1], ..Default::default() };
-        let p = SamplingParams { interior_threshold: 1.0, ..Default::default() };
+        let s = VisibilitySample {
+            ids: vec![1],
+            strata: vec![1],
+            ..Default::default()
+        };
+        let t = VisibilitySample {
+            ids: vec![2],
+            strata: vec![1],
+            ..Default::default()
+        };
+        let p = SamplingParams {
+            interior_threshold: 1.0,
+            ..Default::default()
+        };
         assert!(wants_split(&[([0; 3], &s), ([1, 0, 0], &s)], &p, &Walls));
-        assert!(!wants_split(&[([2, 0, 0], &s), ([1, 0, 0], &t)], &p, &Walls));
-        let strict = SamplingParams { interior_threshold: 0.5, ..p };
-        assert!(wants_split(&[([2, 0, 0], &s), ([1, 0, 0], &t)], &strict, &Walls));
+        assert!(!wants_split(
+            &[([2, 0, 0], &s), ([1, 0, 0], &t)],
+            &p,
+            &Walls
+        ));
+        let strict = SamplingParams {
+            interior_threshold: 0.5,
+            ..p
+        };
+        assert!(wants_split(
+            &[([2, 0, 0], &s), ([1, 0, 0], &t)],
+            &strict,
+            &Walls
+        ));
     }
 }

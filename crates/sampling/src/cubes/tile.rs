@@ -6,11 +6,14 @@
 use std::sync::Arc;
 
 use sightline_model::{
-    CellSet, CellSets, Granularity, Node, Pack, SamplingParams, SupersetChoice, TileOutput, VisibilitySample,
+    CellSet, CellSets, Granularity, Node, Pack, SamplingParams, SupersetChoice, TileOutput,
+    VisibilitySample,
 };
 use sightline_scene::topology::Solids;
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_viewcells::{CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind, UNITS_PER_CELL};
+use sightline_viewcells::{
+    CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind, UNITS_PER_CELL,
+};
 
 use super::cache::{CacheCounters, SampleCache};
 use super::refine::{Exterior, SampleSource, refine};
@@ -113,14 +116,26 @@ pub fn run(
             }
             if let Some(pairs) = joining::table(job) {
                 let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
-                work.rendered +=
-                    joining::search(job, &sight, &pairs, (&tile.cell, joining::MANY_ROUNDS), watcher, None)?;
+                work.rendered += joining::search(
+                    job,
+                    &sight,
+                    &pairs,
+                    (&tile.cell, joining::MANY_ROUNDS),
+                    watcher,
+                    None,
+                )?;
                 sets.pairs = of_tile(job, Some(&pairs));
             }
             TileOutput::Cells(sets)
         }
     };
-    Ok((output, CubeCounters { rendered: work.rendered, cache: work.cache.counters() }))
+    Ok((
+        output,
+        CubeCounters {
+            rendered: work.rendered,
+            cache: work.cache.counters(),
+        },
+    ))
 }
 
 /// The renderer of a job's cubes.
@@ -128,7 +143,13 @@ fn renderer<'a>(
     job: &JobContext<'a>,
     superset: Option<&[u32]>,
 ) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
-    layers::renderer(job.backend, job.scene, CubeSpec::of(job.params), superset, job.params.far)
+    layers::renderer(
+        job.backend,
+        job.scene,
+        CubeSpec::of(job.params),
+        superset,
+        job.params.far,
+    )
 }
 
 struct Work<'a> {
@@ -175,8 +196,13 @@ impl Work<'_> {
             self.bits[*id as usize / 64] |= 1 << (id % 64);
         }
         for class in self.scene.duplicates {
-            if class.iter().any(|id| self.bits[*id as usize / 64] >> (id % 64) & 1 == 1) {
-                class.iter().for_each(|id| self.bits[*id as usize / 64] |= 1 << (id % 64));
+            if class
+                .iter()
+                .any(|id| self.bits[*id as usize / 64] >> (id % 64) & 1 == 1)
+            {
+                class
+                    .iter()
+                    .for_each(|id| self.bits[*id as usize / 64] |= 1 << (id % 64));
             }
         }
         let mut seen = Vec::new();
@@ -192,7 +218,9 @@ impl Work<'_> {
 
     /// Whether a grid cell within a box has viewpoints.
     fn is_reached(&self, within: &CellBox) -> bool {
-        let Some(marks) = self.job.viewpoints else { return true };
+        let Some(marks) = self.job.viewpoints else {
+            return true;
+        };
         let [nx, ny, _] = marks.cells();
         let range = |a: usize| within.lo[a] / UNITS_PER_CELL..within.hi[a] / UNITS_PER_CELL;
         let index = |x: u32, y: u32, z: u32| ((z * ny + y) * nx + x) as usize;
@@ -216,7 +244,12 @@ impl Work<'_> {
             let unreached = !self.is_reached(cell);
             let visible = if unreached { Vec::new() } else { seen };
             out.nodes.push(Node::Cell);
-            out.cells.push(CellSet { visible, samples, unreached, ..CellSet::default() });
+            out.cells.push(CellSet {
+                visible,
+                samples,
+                unreached,
+                ..CellSet::default()
+            });
             self.watcher.cell_done();
             return Ok(());
         };
@@ -229,7 +262,11 @@ impl Work<'_> {
         drop(seen);
         out.nodes.push(Node::Split(split));
         for child in cell.children(split) {
-            let within = overlap::triangles_in_box(self.job.scene.scene(), Some(inside), &self.world(&child));
+            let within = overlap::triangles_in_box(
+                self.job.scene.scene(),
+                Some(inside),
+                &self.world(&child),
+            );
             self.subtree(&child, depth + 1, &within, out)?;
         }
         Ok(())
@@ -252,8 +289,18 @@ impl Work<'_> {
             lattice: &self.job.lattice,
         };
         let (job, min_distance) = (self.job, self.min_distance);
-        let mut source = CachedSource { work: self, renderer };
-        refine(rect, &job.lattice, min_distance, job.params, &exterior, &mut source)
+        let mut source = CachedSource {
+            work: self,
+            renderer,
+        };
+        refine(
+            rect,
+            &job.lattice,
+            min_distance,
+            job.params,
+            &exterior,
+            &mut source,
+        )
     }
 }
 
@@ -269,15 +316,20 @@ const BATCH: usize = 256;
 impl SampleSource for CachedSource<'_, '_> {
     type Error = TileError;
 
-    fn samples(&mut self, points: &[LatticePoint]) -> Result<Vec<Arc<VisibilitySample>>, TileError> {
+    fn samples(
+        &mut self,
+        points: &[LatticePoint],
+    ) -> Result<Vec<Arc<VisibilitySample>>, TileError> {
         let mut found: Vec<_> = points.iter().map(|p| self.work.cache.get(*p)).collect();
         let missing: Vec<usize> = (0..points.len()).filter(|i| found[*i].is_none()).collect();
         for batch in missing.chunks(BATCH) {
             if self.work.watcher.cancelled() {
                 return Err(TileError::Cancelled);
             }
-            let positions: Vec<_> =
-                batch.iter().map(|i| self.work.job.lattice.position(points[*i])).collect();
+            let positions: Vec<_> = batch
+                .iter()
+                .map(|i| self.work.job.lattice.position(points[*i]))
+                .collect();
             for (i, sample) in batch.iter().zip(self.renderer.samples(&positions)?) {
                 let sample = Arc::new(sample);
                 self.work.cache.insert(points[*i], Arc::clone(&sample));
@@ -288,12 +340,15 @@ impl SampleSource for CachedSource<'_, '_> {
             self.work.watcher.rendered(batch.len() as u64);
         }
         // A backend that returns fewer samples than requested would leave holes without an error.
-        found.into_iter().collect::<Option<Vec<_>>>().ok_or_else(|| {
-            TileError::Backend(BackendError::Failed {
-                profile: self.work.job.backend.profile().to_owned(),
-                reason: "it gave fewer samples than points".to_owned(),
+        found
+            .into_iter()
+            .collect::<Option<Vec<_>>>()
+            .ok_or_else(|| {
+                TileError::Backend(BackendError::Failed {
+                    profile: self.work.job.backend.profile().to_owned(),
+                    reason: "it gave fewer samples than points".to_owned(),
+                })
             })
-        })
     }
 }
 

@@ -5,7 +5,10 @@
 //! rejects. So a triangle in the same place that faces the ray is still met, and one traversal finds the end
 //! of a ray and the see-through triangles before it.
 
-#![allow(unsafe_code, reason = "a C library calls back; each access says what it relies on")]
+#![allow(
+    unsafe_code,
+    reason = "a C library calls back; each access says what it relies on"
+)]
 
 use std::ffi::{c_int, c_uint, c_void};
 
@@ -55,13 +58,23 @@ pub struct Context {
 impl Context {
     /// That of a query of Embree 3.
     pub fn of_3(flags: c_uint, passes: *mut Passes) -> Self {
-        Self { flags, filter: std::ptr::null(), rest: [u32::MAX; 16], passes }
+        Self {
+            flags,
+            filter: std::ptr::null(),
+            rest: [u32::MAX; 16],
+            passes,
+        }
     }
 
     /// That of a query of Embree 4, which has instance numbers in the place of flags and filter.
     pub fn of_4(passes: *mut Passes) -> Self {
         let filter = std::ptr::without_provenance(usize::MAX);
-        Self { flags: u32::MAX, filter, rest: [u32::MAX; 16], passes }
+        Self {
+            flags: u32::MAX,
+            filter,
+            rest: [u32::MAX; 16],
+            passes,
+        }
     }
 }
 
@@ -132,7 +145,12 @@ impl FilterArguments {
     /// `i` must be less than `count`.
     unsafe fn triangle(&self, i: usize) -> u32 {
         // SAFETY: hits have more rows of `count` words than are read here.
-        unsafe { *self.hit.cast::<u32>().add(TRIANGLE * self.count as usize + i) }
+        unsafe {
+            *self
+                .hit
+                .cast::<u32>()
+                .add(TRIANGLE * self.count as usize + i)
+        }
     }
 
     /// Whether ray `i` meets its triangle from behind.
@@ -144,8 +162,13 @@ impl FilterArguments {
         // SAFETY: rays have more rows of n words than are read here.
         unsafe {
             let direction = |axis: usize| *self.ray.cast::<f32>().add((DIRECTION + axis) * n + i);
-            let Some(front) = fronts.get(self.triangle(i) as usize) else { return false };
-            (0..3).map(|axis| front[axis] * f64::from(direction(axis))).sum::<f64>() > 0.0
+            let Some(front) = fronts.get(self.triangle(i) as usize) else {
+                return false;
+            };
+            (0..3)
+                .map(|axis| front[axis] * f64::from(direction(axis)))
+                .sum::<f64>()
+                > 0.0
         }
     }
 }

@@ -5,7 +5,10 @@
 //! that the sampler calls are bound. Layouts follow `rtcore_ray.h` and `rtcore_common.h` of both versions.
 //! Newer versions append fields to some structures; the structures here are larger than every such version.
 
-#![allow(unsafe_code, reason = "a C library is called; each call says what it relies on")]
+#![allow(
+    unsafe_code,
+    reason = "a C library is called; each call says what it relies on"
+)]
 
 use std::ffi::{CStr, c_char, c_int, c_uint, c_void};
 use std::sync::{Arc, OnceLock};
@@ -186,7 +189,8 @@ pub struct Embree {
     attach_geometry: unsafe extern "C" fn(Handle, Handle) -> c_uint,
     new_geometry: unsafe extern "C" fn(Handle, c_int) -> Handle,
     release_geometry: unsafe extern "C" fn(Handle),
-    set_new_geometry_buffer: unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
+    set_new_geometry_buffer:
+        unsafe extern "C" fn(Handle, c_int, c_uint, c_int, usize, usize) -> *mut c_void,
     commit_geometry: unsafe extern "C" fn(Handle),
     set_geometry_user_data: unsafe extern "C" fn(Handle, *const c_void),
     set_geometry_intersect_filter_function: unsafe extern "C" fn(Handle, Filter),
@@ -198,8 +202,12 @@ pub struct Embree {
 }
 
 /// File names in the order tried, with Embree's major version.
-const NAMES: [(&str, u32); 4] =
-    [("libembree4.so.4", 4), ("libembree3.so.3", 3), ("libembree4.so", 4), ("libembree3.so", 3)];
+const NAMES: [(&str, u32); 4] = [
+    ("libembree4.so.4", 4),
+    ("libembree3.so.3", 3),
+    ("libembree4.so", 4),
+    ("libembree3.so", 3),
+];
 
 impl Embree {
     /// The library of this machine, opened at the first call.
@@ -208,7 +216,10 @@ impl Embree {
     /// [`BackendError::Unavailable`] with the file names tried and the package to install.
     pub fn get() -> Result<&'static Self, BackendError> {
         static LIBRARY: OnceLock<Result<Embree, String>> = OnceLock::new();
-        LIBRARY.get_or_init(Self::open).as_ref().map_err(|e| BackendError::Unavailable(e.clone()))
+        LIBRARY
+            .get_or_init(Self::open)
+            .as_ref()
+            .map_err(|e| BackendError::Unavailable(e.clone()))
     }
 
     fn open() -> Result<Self, String> {
@@ -217,8 +228,9 @@ impl Embree {
             // SAFETY: Embree's initialisers run; they have no preconditions.
             match unsafe { Library::new(name) } {
                 Ok(library) => {
-                    return Self::bind(library, major)
-                        .map_err(|e| format!("{name} was found but is not the Embree expected: {e}"));
+                    return Self::bind(library, major).map_err(|e| {
+                        format!("{name} was found but is not the Embree expected: {e}")
+                    });
                 }
                 Err(e) => tried.push(format!("{name} ({e})")),
             }
@@ -264,9 +276,15 @@ impl Embree {
                     b"rtcSetGeometryIntersectFilterFunction\0",
                 )?,
                 intersect: if major == 3 {
-                    Intersect::V3(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
+                    Intersect::V3(
+                        f(&library, b"rtcIntersect16\0")?,
+                        f(&library, b"rtcIntersect1\0")?,
+                    )
                 } else {
-                    Intersect::V4(f(&library, b"rtcIntersect16\0")?, f(&library, b"rtcIntersect1\0")?)
+                    Intersect::V4(
+                        f(&library, b"rtcIntersect16\0")?,
+                        f(&library, b"rtcIntersect1\0")?,
+                    )
                 },
                 occluded: if major == 3 {
                     f(&library, b"rtcOccluded16\0").ok().map(Occluded::V3)
@@ -384,7 +402,11 @@ impl TriangleScene {
         let mut scene = unsafe {
             let handle = (e.new_scene)(device.handle);
             (e.set_scene_flags)(handle, ROBUST);
-            Self { device: Arc::clone(device), handle, fronts: Vec::new() }
+            Self {
+                device: Arc::clone(device),
+                handle,
+                fronts: Vec::new(),
+            }
         };
         for layer in layers {
             scene.attach(layer)?;
@@ -398,9 +420,11 @@ impl TriangleScene {
     fn attach(&mut self, layer: Layer<impl Iterator<Item = [f32; 9]>>) -> Result<(), String> {
         let (e, count) = (self.device.embree, layer.count);
         if layer.fronts.is_some() && !self.device.has_filters() {
-            return Err("this Embree was built without filter functions, which --cull-back-faces needs; \
+            return Err(
+                "this Embree was built without filter functions, which --cull-back-faces needs; \
                         install another build of it, or use --backend gpu"
-                .to_owned());
+                    .to_owned(),
+            );
         }
         // SAFETY: the geometry is created here and lives; both buffers are filled to their whole size before
         // it is committed, and the scene holds a reference to it after it is attached. The fronts live as
@@ -410,7 +434,11 @@ impl TriangleScene {
             let vertices = (e.set_new_geometry_buffer)(geometry, VERTEX, 0, FLOAT3, 12, count * 3);
             let indices = (e.set_new_geometry_buffer)(geometry, INDEX, 0, UINT3, 12, count);
             if count > 0 && (vertices.is_null() || indices.is_null()) {
-                let reason = self.device.check().err().unwrap_or_else(|| "no buffer".to_owned());
+                let reason = self
+                    .device
+                    .check()
+                    .err()
+                    .unwrap_or_else(|| "no buffer".to_owned());
                 (e.release_geometry)(geometry);
                 return Err(reason);
             }
@@ -418,7 +446,10 @@ impl TriangleScene {
             for (i, t) in layer.triangles.take(count).enumerate() {
                 vertices.cast::<[f32; 9]>().add(i).write(t);
                 let first = 3 * i as u32;
-                indices.cast::<[u32; 3]>().add(i).write([first, first + 1, first + 2]);
+                indices
+                    .cast::<[u32; 3]>()
+                    .add(i)
+                    .write([first, first + 1, first + 2]);
                 written += 1;
             }
             assert_eq!(written, count, "as many triangles as announced");

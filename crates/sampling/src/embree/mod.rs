@@ -47,7 +47,11 @@ pub struct TooNarrow(f32);
 /// [`TooNarrow`] below 10⁻⁹.
 pub fn check_width(scene: &Scene) -> Result<(), TooNarrow> {
     let width = (scene.bounds().max - scene.bounds().min).max_element();
-    if width > 0.0 && width < MIN_WIDTH { Err(TooNarrow(width)) } else { Ok(()) }
+    if width > 0.0 && width < MIN_WIDTH {
+        Err(TooNarrow(width))
+    } else {
+        Ok(())
+    }
 }
 
 /// Embree bound to a scene.
@@ -84,10 +88,16 @@ impl CpuBackend {
         let device = Self::open(rayon::current_num_threads())?;
         let profile = profile(&device);
         if let Err(e) = scene.check_reach("the scene") {
-            return Err(BackendError::Failed { profile, reason: e.to_string() });
+            return Err(BackendError::Failed {
+                profile,
+                reason: e.to_string(),
+            });
         }
         if let Err(e) = check_width(&scene) {
-            return Err(BackendError::Failed { profile, reason: e.to_string() });
+            return Err(BackendError::Failed {
+                profile,
+                reason: e.to_string(),
+            });
         }
         Ok(Self {
             scene,
@@ -128,8 +138,10 @@ impl CpuBackend {
         let passed: Vec<u32> = passed.iter().copied().filter(seen).collect();
         let ends = std::iter::once((&ids, false));
         let layers = ends.chain((!passed.is_empty()).then_some((&passed, true)));
-        let scene =
-            TriangleScene::new(&self.device, layers.map(|(ids, is_passed)| self.layer(ids, is_passed)))?;
+        let scene = TriangleScene::new(
+            &self.device,
+            layers.map(|(ids, is_passed)| self.layer(ids, is_passed)),
+        )?;
         Ok(Arc::new(Hierarchy { scene, ids, passed }))
     }
 
@@ -140,19 +152,27 @@ impl CpuBackend {
         is_passed: bool,
     ) -> Layer<impl Iterator<Item = [f32; 9]> + use<'b>> {
         let all = self.scene.triangles();
-        let flat = |id: &u32| -> [f32; 9] { bytemuck::cast::<Triangle, [f32; 9]>(all[*id as usize]) };
+        let flat =
+            |id: &u32| -> [f32; 9] { bytemuck::cast::<Triangle, [f32; 9]>(all[*id as usize]) };
         let one_sided = !self.scene.sides().are_both();
         Layer {
             count: ids.len(),
             triangles: ids.iter().map(flat),
-            fronts: one_sided.then(|| ids.iter().map(|id| self.scene.front(*id).to_array()).collect()),
+            fronts: one_sided.then(|| {
+                ids.iter()
+                    .map(|id| self.scene.front(*id).to_array())
+                    .collect()
+            }),
             is_passed,
         }
     }
 
     /// The tracer of a hierarchy.
     fn tracer(&self, hierarchy: Result<Arc<Hierarchy>, String>) -> Result<CpuTracer, BackendError> {
-        let failed = |reason| BackendError::Failed { profile: self.profile.clone(), reason };
+        let failed = |reason| BackendError::Failed {
+            profile: self.profile.clone(),
+            reason,
+        };
         Ok(CpuTracer {
             hierarchy: hierarchy.map_err(failed)?,
             near: crate::near_distance(self.scene.bounds()),
@@ -161,7 +181,12 @@ impl CpuBackend {
 }
 
 fn profile(device: &Device) -> String {
-    format!("cpu/embree-{}/{}/{}", device.version(), instruction_set(), vendor())
+    format!(
+        "cpu/embree-{}/{}/{}",
+        device.version(),
+        instruction_set(),
+        vendor()
+    )
 }
 
 /// The maker of the processor. It is part of the profile because Embree computes reciprocals from a hardware
@@ -170,8 +195,14 @@ fn vendor() -> String {
     #[cfg(target_arch = "x86_64")]
     {
         let id = std::arch::x86_64::__cpuid(0);
-        let bytes: Vec<u8> = [id.ebx, id.edx, id.ecx].iter().flat_map(|r| r.to_le_bytes()).collect();
-        String::from_utf8_lossy(&bytes).chars().filter(char::is_ascii_alphanumeric).collect()
+        let bytes: Vec<u8> = [id.ebx, id.edx, id.ecx]
+            .iter()
+            .flat_map(|r| r.to_le_bytes())
+            .collect();
+        String::from_utf8_lossy(&bytes)
+            .chars()
+            .filter(char::is_ascii_alphanumeric)
+            .collect()
     }
     #[cfg(not(target_arch = "x86_64"))]
     {
@@ -183,7 +214,8 @@ fn vendor() -> String {
 fn instruction_set() -> &'static str {
     #[cfg(target_arch = "x86_64")]
     {
-        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
+        {
             "avx2"
         } else if std::arch::is_x86_feature_detected!("avx") {
             "avx"
@@ -216,18 +248,31 @@ impl Backend for CpuBackend {
         if !self.device.has_filters() {
             return Ok(None);
         }
-        let hierarchy = self.together.get_or_init(|| self.build(Some(blocking), see_through));
+        let hierarchy = self
+            .together
+            .get_or_init(|| self.build(Some(blocking), see_through));
         Ok(Some(Box::new(self.tracer(hierarchy.clone())?)))
     }
 
-    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+    fn prepare(
+        &self,
+        superset: Option<&[u32]>,
+    ) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         let hierarchy = match superset {
             Some(_) => self.build(superset, &[]),
             None => self.whole.get_or_init(|| self.build(None, &[])).clone(),
         }
-        .map_err(|reason| BackendError::Failed { profile: self.profile.clone(), reason })?;
+        .map_err(|reason| BackendError::Failed {
+            profile: self.profile.clone(),
+            reason,
+        })?;
         let near = crate::near_distance(self.scene.bounds());
-        Ok(Box::new(CpuRenderer { hierarchy, spec: self.spec, near, reducers: Mutex::new(Vec::new()) }))
+        Ok(Box::new(CpuRenderer {
+            hierarchy,
+            spec: self.spec,
+            near,
+            reducers: Mutex::new(Vec::new()),
+        }))
     }
 }
 
@@ -240,7 +285,13 @@ struct CpuTracer {
 impl CpuTracer {
     /// Traces a packet up to a distance for each lane. Needs `passes` when the hierarchy has triangles that
     /// rays pass.
-    fn packet(&self, rays: &mut RayHit16, p: &mut Packet, until: [f32; 16], passes: Option<&mut Passes>) {
+    fn packet(
+        &self,
+        rays: &mut RayHit16,
+        p: &mut Packet,
+        until: [f32; 16],
+        passes: Option<&mut Passes>,
+    ) {
         rays.org = p.origin;
         rays.dir = p.direction;
         rays.tnear = [self.near; 16];
@@ -250,8 +301,11 @@ impl CpuTracer {
         self.hierarchy.scene.intersect(&valid, rays, passes);
         p.distance = rays.tfar;
         for l in 0..16 {
-            p.triangle[l] =
-                if rays.geom[l] == u32::MAX { SKY } else { self.hierarchy.ids[rays.prim[l] as usize] };
+            p.triangle[l] = if rays.geom[l] == u32::MAX {
+                SKY
+            } else {
+                self.hierarchy.ids[rays.prim[l] as usize]
+            };
         }
     }
 
@@ -263,14 +317,20 @@ impl CpuTracer {
         ray.id = l as u32;
         self.hierarchy.scene.intersect_one(&mut ray, passes);
         p.distance[l] = ray.tfar;
-        p.triangle[l] = if ray.geom == u32::MAX { SKY } else { self.hierarchy.ids[ray.prim as usize] };
+        p.triangle[l] = if ray.geom == u32::MAX {
+            SKY
+        } else {
+            self.hierarchy.ids[ray.prim as usize]
+        };
     }
 }
 
 impl LineTracer for CpuTracer {
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
         let mut rays = RayHit16::new();
-        packets.iter_mut().for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16], None));
+        packets
+            .iter_mut()
+            .for_each(|p| self.packet(&mut rays, p, [f32::INFINITY; 16], None));
         Ok(())
     }
 
@@ -318,7 +378,13 @@ impl PassingTracer for CpuTracer {
                 passes
                     .iter()
                     .filter(|pass| pass.at <= p.distance[pass.ray as usize])
-                    .map(|pass| (line(pass.ray), self.hierarchy.passed[pass.triangle as usize], pass.at)),
+                    .map(|pass| {
+                        (
+                            line(pass.ray),
+                            self.hierarchy.passed[pass.triangle as usize],
+                            pass.at,
+                        )
+                    }),
             );
         }
         Ok(())

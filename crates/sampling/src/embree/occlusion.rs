@@ -26,12 +26,21 @@ impl Occlusion {
             .filter(|id| scene.blocks(*id))
             .map(|id| bytemuck::cast::<Triangle, [f32; 9]>(scene.triangles()[id as usize]))
             .collect();
-        let layer =
-            Layer { count: blocking.len(), triangles: blocking.into_iter(), fronts: None, is_passed: false };
-        let built = TriangleScene::new(&device, [layer])
-            .map_err(|reason| BackendError::Failed { profile: "cpu".to_owned(), reason })?;
+        let layer = Layer {
+            count: blocking.len(),
+            triangles: blocking.into_iter(),
+            fronts: None,
+            is_passed: false,
+        };
+        let built =
+            TriangleScene::new(&device, [layer]).map_err(|reason| BackendError::Failed {
+                profile: "cpu".to_owned(),
+                reason,
+            })?;
         if !built.has_occluded() {
-            return Err(BackendError::Unavailable("this Embree has no rtcOccluded16".to_owned()));
+            return Err(BackendError::Unavailable(
+                "this Embree has no rtcOccluded16".to_owned(),
+            ));
         }
         Ok(Self(built))
     }

@@ -17,7 +17,9 @@ use crate::sequence::Hashed;
 fn soup(count: usize) -> Vec<[f32; 9]> {
     let mut state = 7u64;
     let mut random = move |below: u64| {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (state >> 33) % below
     };
     (0..count)
@@ -32,7 +34,12 @@ fn soup(count: usize) -> Vec<[f32; 9]> {
 
 /// Triangles that end rays and have two sides.
 fn layer(triangles: &[[f32; 9]]) -> Layer<impl Iterator<Item = [f32; 9]> + '_> {
-    Layer { count: triangles.len(), triangles: triangles.iter().copied(), fronts: None, is_passed: false }
+    Layer {
+        count: triangles.len(),
+        triangles: triangles.iter().copied(),
+        fronts: None,
+        is_passed: false,
+    }
 }
 
 /// The device, or `None` without Embree. Under `CI` a missing Embree is a failure.
@@ -52,9 +59,15 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
     let triangles = soup(20_000);
     let Some(device) = device(1) else { return };
     let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
-    let hierarchy =
-        Arc::new(Hierarchy { scene, ids: (0..triangles.len() as u32).collect(), passed: Vec::new() });
-    let tracer = CpuTracer { hierarchy, near: 0.0 };
+    let hierarchy = Arc::new(Hierarchy {
+        scene,
+        ids: (0..triangles.len() as u32).collect(),
+        passed: Vec::new(),
+    });
+    let tracer = CpuTracer {
+        hierarchy,
+        near: 0.0,
+    };
     let mut random = Hashed::new(&[3]);
     let mut packets: Vec<Packet> = (0..1000)
         .map(|_| {
@@ -76,7 +89,10 @@ fn rays_by_themselves_meet_what_they_meet_in_packets() {
             // Of overlapping triangles either one may be hit, but at the same distance.
             other += u32::from(a.triangle[lane] != b.triangle[lane]);
             let (far, near) = (a.distance[lane], b.distance[lane]);
-            assert!(far == near || (far - near).abs() <= 1e-4 * far.max(1e-2), "{far} {near}");
+            assert!(
+                far == near || (far - near).abs() <= 1e-4 * far.max(1e-2),
+                "{far} {near}"
+            );
         }
     }
     assert!(met > 10_000 && other < met / 100, "{met} {other}");
@@ -87,13 +103,19 @@ fn however_many_threads_build_it_the_hierarchy_is_the_same() {
     let triangles = soup(150_000);
     let mut met: Vec<Vec<(u32, u32)>> = Vec::new();
     for threads in [1, 2, 3, 8] {
-        let Some(device) = device(threads) else { return };
+        let Some(device) = device(threads) else {
+            return;
+        };
         let scene = TriangleScene::new(&device, [layer(&triangles)]).unwrap();
         let ray = |i: u32| {
             let (x, y) = (i % 256, i / 256);
             // Vertical rays through lattice points and edges, where many triangles are hit at equal
             // distance, and oblique rays.
-            let direction = if i.is_multiple_of(2) { [0.0, 0.0, -1.0] } else { [0.25, 0.5, -1.0] };
+            let direction = if i.is_multiple_of(2) {
+                [0.0, 0.0, -1.0]
+            } else {
+                [0.25, 0.5, -1.0]
+            };
             let mut ray = RayHit1::new([x as f32 * 0.25, y as f32 * 0.25, 20.0], direction, 0.0);
             scene.intersect_one(&mut ray, None);
             (ray.prim, ray.tfar.to_bits())

@@ -9,11 +9,16 @@ use crate::error::BackendError;
 /// The adapters of this machine, best first: discrete GPUs, integrated, virtual, others, software. Starting
 /// the drivers takes tenths of a second, so they are listed once a process.
 pub fn adapters() -> Vec<AdapterSummary> {
-    LISTED.get_or_init(|| summaries(&look_for_adapters())).clone()
+    LISTED
+        .get_or_init(|| summaries(&look_for_adapters()))
+        .clone()
 }
 
 fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
-    adapters.iter().map(|adapter| summary(&adapter.get_info())).collect()
+    adapters
+        .iter()
+        .map(|adapter| summary(&adapter.get_info()))
+        .collect()
 }
 
 /// Whether this machine may have a hardware GPU: whether a device file exists that GPU drivers need. This
@@ -22,7 +27,9 @@ fn summaries(adapters: &[wgpu::Adapter]) -> Vec<AdapterSummary> {
 /// started in vain, but the result is right.
 pub fn device_present() -> bool {
     let named = |entries: std::fs::ReadDir, is: fn(&str) -> bool| {
-        entries.flatten().any(|e| is(&e.file_name().to_string_lossy()))
+        entries
+            .flatten()
+            .any(|e| is(&e.file_name().to_string_lossy()))
     };
     !cfg!(target_os = "linux")
         || std::fs::read_dir("/dev").map_or(true, |entries| named(entries, is_gpu))
@@ -37,7 +44,11 @@ fn is_render_node(name: &str) -> bool {
 /// Whether `name` in `/dev` belongs to a driver that does not use render nodes: NVIDIA, AMD's compute driver,
 /// Windows Subsystem for Linux, ARM, Qualcomm, Imagination.
 fn is_gpu(name: &str) -> bool {
-    ["nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr"].iter().any(|p| name.starts_with(p))
+    [
+        "nvidia", "nvhost", "nvgpu", "kfd", "dxg", "mali", "kgsl", "pvr",
+    ]
+    .iter()
+    .any(|p| name.starts_with(p))
 }
 
 /// What [`adapters`] has found.
@@ -64,12 +75,28 @@ fn look_for_adapters() -> Vec<wgpu::Adapter> {
 
 fn summary(info: &wgpu::AdapterInfo) -> AdapterSummary {
     let interface = info.backend.to_str().to_owned();
-    let driver = format!("{} {}", info.driver, info.driver_info).trim().to_owned();
-    let version = if info.driver_info.is_empty() { &info.driver } else { &info.driver_info };
-    let profile =
-        format!("gpu/wgpu-30/{}/{}/{}", sanitised(&interface), sanitised(&info.name), sanitised(version));
+    let driver = format!("{} {}", info.driver, info.driver_info)
+        .trim()
+        .to_owned();
+    let version = if info.driver_info.is_empty() {
+        &info.driver
+    } else {
+        &info.driver_info
+    };
+    let profile = format!(
+        "gpu/wgpu-30/{}/{}/{}",
+        sanitised(&interface),
+        sanitised(&info.name),
+        sanitised(version)
+    );
     let software = info.device_type == wgpu::DeviceType::Cpu;
-    AdapterSummary { name: info.name.clone(), driver, interface, software, profile }
+    AdapterSummary {
+        name: info.name.clone(),
+        driver,
+        interface,
+        software,
+        profile,
+    }
 }
 
 /// `text` as printable ASCII without the profile's separator; never empty.
@@ -77,11 +104,21 @@ fn sanitised(text: &str) -> String {
     let plain: String = text
         .trim()
         .chars()
-        .map(|c| if matches!(c, ' '..='~') && !matches!(c, '/' | '"' | '\\') { c } else { '_' })
+        .map(|c| {
+            if matches!(c, ' '..='~') && !matches!(c, '/' | '"' | '\\') {
+                c
+            } else {
+                '_'
+            }
+        })
         .collect();
     // A profile has three such fields, so each is kept short.
     let plain: String = plain.chars().take(40).collect();
-    if plain.is_empty() { "unknown".to_owned() } else { plain }
+    if plain.is_empty() {
+        "unknown".to_owned()
+    } else {
+        plain
+    }
 }
 
 /// The numerics profile of the adapter that `choice` selects on this machine.
@@ -123,15 +160,27 @@ fn open_new(choice: &AdapterChoice) -> Result<Opened, BackendError> {
     let all = summaries(&adapters);
     // Whoever lists the adapters next need not start the drivers again.
     let _ = LISTED.set(all.clone());
-    let there = || all.iter().map(|a| a.name.as_str()).collect::<Vec<_>>().join("; ");
+    let there = || {
+        all.iter()
+            .map(|a| a.name.as_str())
+            .collect::<Vec<_>>()
+            .join("; ")
+    };
     let mut refused = BackendError::Unavailable(match choice {
-        AdapterChoice::Named(part) => format!("no adapter is named like \"{part}\"; there are: {}", there()),
+        AdapterChoice::Named(part) => format!(
+            "no adapter is named like \"{part}\"; there are: {}",
+            there()
+        ),
         _ => format!(
             "no hardware adapter, only software ({}); allow software rasterising or use --backend cpu",
             there()
         ),
     });
-    let mut fitting = adapters.iter().zip(&all).filter(|(_, summary)| choice.fits(summary)).peekable();
+    let mut fitting = adapters
+        .iter()
+        .zip(&all)
+        .filter(|(_, summary)| choice.fits(summary))
+        .peekable();
     let mut has_failed = false;
     while let Some((adapter, summary)) = fitting.next() {
         match open_one(adapter, summary, choice) {
@@ -156,7 +205,11 @@ fn open_one(
     summary: &AdapterSummary,
     choice: &AdapterChoice,
 ) -> Result<Opened, BackendError> {
-    if !adapter.get_downlevel_capabilities().flags.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS) {
+    if !adapter
+        .get_downlevel_capabilities()
+        .flags
+        .contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+    {
         return Err(BackendError::Unavailable(format!(
             "the adapter {} has no compute shaders; update its driver or use --backend cpu",
             summary.name
@@ -174,7 +227,12 @@ fn open_one(
             summary.name
         ))
     })?;
-    Ok(Opened { device, queue, summary: summary.clone(), choice: choice.clone() })
+    Ok(Opened {
+        device,
+        queue,
+        summary: summary.clone(),
+        choice: choice.clone(),
+    })
 }
 
 #[cfg(test)]
@@ -183,8 +241,16 @@ mod tests {
 
     #[test]
     fn gpus_are_known_by_their_device_files() {
-        assert!(["nvidia0", "nvidiactl", "kfd", "dxg", "mali0", "kgsl-3d0"].iter().all(|n| is_gpu(n)));
-        assert!(!["null", "tty0", "vda", "fb0", "dri", "kvm"].iter().any(|n| is_gpu(n)));
+        assert!(
+            ["nvidia0", "nvidiactl", "kfd", "dxg", "mali0", "kgsl-3d0"]
+                .iter()
+                .all(|n| is_gpu(n))
+        );
+        assert!(
+            !["null", "tty0", "vda", "fb0", "dri", "kvm"]
+                .iter()
+                .any(|n| is_gpu(n))
+        );
         assert!(is_render_node("renderD128") && !is_render_node("card0"));
     }
 

@@ -88,7 +88,10 @@ struct Split {
 
 /// Levels that n triangles need when every node is split at the median, until each leaf is small enough.
 fn levels(n: usize) -> u32 {
-    n.div_ceil(MAX_LEAF).max(1).next_power_of_two().trailing_zeros()
+    n.div_ceil(MAX_LEAF)
+        .max(1)
+        .next_power_of_two()
+        .trailing_zeros()
 }
 
 impl Bvh {
@@ -106,22 +109,39 @@ impl Bvh {
             ));
         }
         if boxes.is_empty() {
-            return Ok(Self { nodes: Vec::new(), order: Vec::new() });
+            return Ok(Self {
+                nodes: Vec::new(),
+                order: Vec::new(),
+            });
         }
-        let mut items: Vec<Item> = boxes.iter().zip(0..).map(|(b, id)| Item { bounds: *b, id }).collect();
+        let mut items: Vec<Item> = boxes
+            .iter()
+            .zip(0..)
+            .map(|(b, id)| Item { bounds: *b, id })
+            .collect();
         let flat = subtree(&mut items, 0, 0);
         let (nodes, depth) = paired(&flat);
         if depth > MAX_DEPTH {
-            return Err(format!("the hierarchy became {depth} levels deep; {MAX_DEPTH} were expected"));
+            return Err(format!(
+                "the hierarchy became {depth} levels deep; {MAX_DEPTH} were expected"
+            ));
         }
-        Ok(Self { nodes, order: items.iter().map(|i| i.id).collect() })
+        Ok(Self {
+            nodes,
+            order: items.iter().map(|i| i.id).collect(),
+        })
     }
 }
 
 /// The tree over `items` in preorder. The leaves' order begins at place `first`.
 fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
     let bounds = items.iter().fold(Aabb::EMPTY, |b, i| b.union(i.bounds));
-    let leaf = Flat { bounds, right: 0, first: first as u32, count: items.len() as u32 };
+    let leaf = Flat {
+        bounds,
+        right: 0,
+        first: first as u32,
+        count: items.len() as u32,
+    };
     if items.len() == 1 {
         return vec![leaf];
     }
@@ -130,10 +150,17 @@ fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
         let c = i.centre();
         b.union(Aabb { min: c, max: c })
     });
-    let split = if free { best_split(items, &centres) } else { None };
+    let split = if free {
+        best_split(items, &centres)
+    } else {
+        None
+    };
     if items.len() <= MAX_LEAF {
         let whole = items.len() as f32 * half_area(&bounds);
-        if split.as_ref().is_none_or(|s| s.cost + STEP_COST * half_area(&bounds) >= whole) {
+        if split
+            .as_ref()
+            .is_none_or(|s| s.cost + STEP_COST * half_area(&bounds) >= whole)
+        {
             return vec![leaf];
         }
     }
@@ -143,12 +170,21 @@ fn subtree(items: &mut [Item], first: usize, depth: u32) -> Vec<Flat> {
     };
     let (left, right) = items.split_at_mut(middle);
     let (left, right) = if left.len() + right.len() >= PARALLEL {
-        rayon::join(|| subtree(left, first, depth + 1), || subtree(right, first + middle, depth + 1))
+        rayon::join(
+            || subtree(left, first, depth + 1),
+            || subtree(right, first + middle, depth + 1),
+        )
     } else {
-        (subtree(left, first, depth + 1), subtree(right, first + middle, depth + 1))
+        (
+            subtree(left, first, depth + 1),
+            subtree(right, first + middle, depth + 1),
+        )
     };
     let mut all = Vec::with_capacity(1 + left.len() + right.len());
-    all.push(Flat { right: 1 + left.len() as u32, ..leaf });
+    all.push(Flat {
+        right: 1 + left.len() as u32,
+        ..leaf
+    });
     all.extend_from_slice(&left);
     all.extend_from_slice(&right);
     all
@@ -180,7 +216,9 @@ fn binned(items: &[Item], centres: &Aabb) -> [[Bin; BINS]; 3] {
     if items.len() >= PARALLEL {
         // Unions and sums do not depend on the order.
         let empty = bins;
-        let parts = items.par_chunks(PARALLEL / 2).map(|some| binned(some, centres));
+        let parts = items
+            .par_chunks(PARALLEL / 2)
+            .map(|some| binned(some, centres));
         return parts.reduce(
             || empty,
             |mut all, part| {
@@ -244,14 +282,21 @@ fn halve(items: &mut [Item], centres: &Aabb) -> usize {
     let axis = (1..3).fold(0, |a, b| if extent[b] > extent[a] { b } else { a });
     let middle = items.len() / 2;
     items.select_nth_unstable_by(middle, |a, b| {
-        a.centre()[axis].total_cmp(&b.centre()[axis]).then(a.id.cmp(&b.id))
+        a.centre()[axis]
+            .total_cmp(&b.centre()[axis])
+            .then(a.id.cmp(&b.id))
     });
     middle
 }
 
 /// The nodes with siblings adjacent, and the depth of the tree.
 fn paired(flat: &[Flat]) -> (Vec<Node>, u32) {
-    let node = |f: &Flat, child| Node { low: f.bounds.min, child, high: f.bounds.max, unused: 0 };
+    let node = |f: &Flat, child| Node {
+        low: f.bounds.min,
+        child,
+        high: f.bounds.max,
+        unused: 0,
+    };
     let mut nodes = Vec::with_capacity(flat.len() + 1);
     nodes.extend([Node::zeroed(); 2]);
     let mut deepest = 0;
@@ -285,8 +330,14 @@ mod tests {
         while let Some((at, depth)) = todo.pop() {
             deepest = deepest.max(depth);
             let node = bvh.nodes[at];
-            let bounds = Aabb { min: node.low, max: node.high };
-            let (place, count) = ((node.child >> COUNT_BITS) as usize, (node.child & 15) as usize);
+            let bounds = Aabb {
+                min: node.low,
+                max: node.high,
+            };
+            let (place, count) = (
+                (node.child >> COUNT_BITS) as usize,
+                (node.child & 15) as usize,
+            );
             if count == 0 {
                 assert!(place.is_multiple_of(2) && place > at);
                 for child in [place, place + 1] {
@@ -313,13 +364,23 @@ mod tests {
         for count in [1, 2, 4, 5, 1000, 20_000] {
             let boxes: Vec<Aabb> = (0..count)
                 .map(|i| {
-                    let p = Vec3::new((i * 7919 % 1009) as f32, (i * 104_729 % 977) as f32, (i % 31) as f32);
-                    Aabb { min: p, max: p + 1.0 + (i % 5) as f32 }
+                    let p = Vec3::new(
+                        (i * 7919 % 1009) as f32,
+                        (i * 104_729 % 977) as f32,
+                        (i % 31) as f32,
+                    );
+                    Aabb {
+                        min: p,
+                        max: p + 1.0 + (i % 5) as f32,
+                    }
                 })
                 .collect();
             let bvh = Bvh::build(&boxes).unwrap();
             check(&boxes, &bvh);
-            let again = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+            let again = rayon::ThreadPoolBuilder::new()
+                .num_threads(1)
+                .build()
+                .unwrap();
             let again = again.install(|| Bvh::build(&boxes).unwrap());
             assert_eq!((bvh.nodes, bvh.order), (again.nodes, again.order));
         }
@@ -333,11 +394,23 @@ mod tests {
         let boxes: Vec<Aabb> = (0..4000)
             .map(|i| {
                 let p = Vec3::splat((i as f32 / 17.0 - 120.0).exp2());
-                Aabb { min: p * 0.5, max: p }
+                Aabb {
+                    min: p * 0.5,
+                    max: p,
+                }
             })
             .collect();
         assert!(check(&boxes, &Bvh::build(&boxes).unwrap()) > levels(boxes.len()));
-        let same = vec![Aabb { min: Vec3::ZERO, max: Vec3::ONE }; 3000];
-        assert_eq!(check(&same, &Bvh::build(&same).unwrap()), levels(same.len()));
+        let same = vec![
+            Aabb {
+                min: Vec3::ZERO,
+                max: Vec3::ONE
+            };
+            3000
+        ];
+        assert_eq!(
+            check(&same, &Bvh::build(&same).unwrap()),
+            levels(same.len())
+        );
     }
 }

@@ -36,7 +36,10 @@ fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
     let of = |v: Vec3| v.as_dvec3();
     let (size, b) = (of(bounds.max) - of(bounds.min), triangle.bounds());
     let extent = (of(b.max) - of(b.min)).max_element() / size.max_element().max(f64::MIN_POSITIVE);
-    let class = [0.25, 1.0 / 16.0, 1.0 / 64.0, 1.0 / 256.0].iter().filter(|limit| extent < **limit).count();
+    let class = [0.25, 1.0 / 16.0, 1.0 / 64.0, 1.0 / 256.0]
+        .iter()
+        .filter(|limit| extent < **limit)
+        .count();
     let centre = (of(b.min) + of(b.max)) * 0.5 - of(bounds.min);
     let cells = f64::from((1u32 << BITS) - 1);
     let code = (0..3).fold(0, |code, axis| {
@@ -96,10 +99,16 @@ mod tests {
     fn a_small_box_is_on_the_face_it_lies_on() {
         for face in 0..6u32 {
             let [forward, right, _] = crate::cube::face_basis(face);
-            let at = |p: Vec3| Aabb { min: p - 0.01, max: p + 0.01 };
+            let at = |p: Vec3| Aabb {
+                min: p - 0.01,
+                max: p + 0.01,
+            };
             let eye = Vec3::new(3.0, -2.0, 5.0);
             assert_eq!(faces_touched(&at(eye + forward), eye), 1 << face);
-            assert_eq!(faces_touched(&at(eye + forward + right), eye).count_ones(), 2);
+            assert_eq!(
+                faces_touched(&at(eye + forward + right), eye).count_ones(),
+                2
+            );
             assert_eq!(faces_touched(&at(eye), eye), 0x3f);
         }
     }

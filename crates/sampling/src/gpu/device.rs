@@ -47,7 +47,11 @@ impl Gpu {
     ///
     /// # Errors
     /// [`BackendError::Unavailable`] when there is no fitting adapter, or it cannot do `spec` or the scene.
-    pub(super) fn open(scene: &Scene, spec: CubeSpec, choice: &AdapterChoice) -> Result<Self, BackendError> {
+    pub(super) fn open(
+        scene: &Scene,
+        spec: CubeSpec,
+        choice: &AdapterChoice,
+    ) -> Result<Self, BackendError> {
         if !(1..=MAX_RESOLUTION).contains(&spec.resolution) {
             return Err(BackendError::Unavailable(format!(
                 "a cube of {} pixels a side cannot be rendered; choose 1 to {MAX_RESOLUTION}",
@@ -71,14 +75,31 @@ impl Gpu {
             spare::give_back(opened);
             return Err(refused);
         }
-        let Opened { device, queue, summary, choice } = opened;
+        let Opened {
+            device,
+            queue,
+            summary,
+            choice,
+        } = opened;
         let fault = watch(&device);
         let kit = OnceLock::new();
         let near = crate::near_distance(bounds);
         let (profile, software) = (summary.profile.clone(), summary.software);
         let opened_as = (summary, choice);
         let (measures, has_failed) = (false, AtomicBool::new(false));
-        Ok(Self { spec, profile, opened_as, device, queue, kit, software, measures, near, fault, has_failed })
+        Ok(Self {
+            spec,
+            profile,
+            opened_as,
+            device,
+            queue,
+            kit,
+            software,
+            measures,
+            near,
+            fault,
+            has_failed,
+        })
     }
 
     /// The pipelines of cubes.
@@ -86,13 +107,23 @@ impl Gpu {
     /// # Errors
     /// [`BackendError::Failed`] when the device cannot make them.
     pub(super) fn kit(&self) -> Result<&Kit, BackendError> {
-        let make = || scoped(&self.device, || Ok(Kit::new(&self.device, self.spec.resolution)));
-        self.kit.get_or_init(make).as_ref().map_err(|reason| self.failed(reason))
+        let make = || {
+            scoped(&self.device, || {
+                Ok(Kit::new(&self.device, self.spec.resolution))
+            })
+        };
+        self.kit
+            .get_or_init(make)
+            .as_ref()
+            .map_err(|reason| self.failed(reason))
     }
 
     pub(super) fn failed(&self, reason: impl Into<String>) -> BackendError {
         self.has_failed.store(true, Ordering::Relaxed);
-        BackendError::Failed { profile: self.profile.clone(), reason: reason.into() }
+        BackendError::Failed {
+            profile: self.profile.clone(),
+            reason: reason.into(),
+        }
     }
 
     /// Fails when the device has reported an error since it was opened. Such an error is permanent.
@@ -106,7 +137,10 @@ impl Gpu {
     /// Waits until the device has finished `submission` and mapped its buffers. The callback of a mapping may
     /// still run in another thread that waits; receive its message with [`PATIENCE`] as the limit.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), BackendError> {
-        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: Some(PATIENCE) };
+        let poll = wgpu::PollType::Wait {
+            submission_index: Some(submission),
+            timeout: Some(PATIENCE),
+        };
         // wgpu panics when the device is lost during the wait; here that becomes an error like any other.
         let polled = catch_unwind(AssertUnwindSafe(|| self.device.poll(poll)));
         self.check()?;
@@ -122,7 +156,12 @@ impl Drop for Gpu {
     fn drop(&mut self) {
         drop(self.kit.take());
         let (summary, choice) = self.opened_as.clone();
-        let opened = Opened { device: self.device.clone(), queue: self.queue.clone(), summary, choice };
+        let opened = Opened {
+            device: self.device.clone(),
+            queue: self.queue.clone(),
+            summary,
+            choice,
+        };
         match self.check().is_err() || self.has_failed.load(Ordering::Relaxed) {
             false => spare::give_back(opened),
             true => spare::give_up(opened),

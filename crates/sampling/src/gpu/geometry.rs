@@ -23,12 +23,18 @@ pub(super) struct DrawStyle {
 
 impl DrawStyle {
     /// For GPUs: a draw call costs more than a few clusters.
-    pub(super) const HARDWARE: Self = Self { bridge: 4 * CLUSTER as u32, longest: u32::MAX };
+    pub(super) const HARDWARE: Self = Self {
+        bridge: 4 * CLUSTER as u32,
+        longest: u32::MAX,
+    };
 
     /// For lavapipe: a draw call costs little, but a single clipped triangle sends the whole call down a slow
     /// path, whose time grows with the square of the call's length (up to some thousand vertices). One
     /// cluster for each call halves the time.
-    pub(super) const SOFTWARE: Self = Self { bridge: 0, longest: CLUSTER as u32 };
+    pub(super) const SOFTWARE: Self = Self {
+        bridge: 0,
+        longest: CLUSTER as u32,
+    };
 }
 
 /// Triangles on the device, shared by all renderers that draw them.
@@ -63,12 +69,24 @@ impl Geometry {
         let page_slots = page_clusters as u32 * CLUSTER as u32;
         let clusters = ids
             .chunks(CLUSTER)
-            .map(|run| run.iter().fold(Aabb::EMPTY, |b, id| b.union(triangles[*id as usize].bounds())))
+            .map(|run| {
+                run.iter().fold(Aabb::EMPTY, |b, id| {
+                    b.union(triangles[*id as usize].bounds())
+                })
+            })
             .collect();
         let pages = scoped(device, || {
-            ids.chunks(page_slots as usize).map(|page| upload_page(device, triangles, page)).collect()
+            ids.chunks(page_slots as usize)
+                .map(|page| upload_page(device, triangles, page))
+                .collect()
         })?;
-        Ok(Self { clusters, pages, page_slots, ids, style })
+        Ok(Self {
+            clusters,
+            pages,
+            page_slots,
+            ids,
+            style,
+        })
     }
 
     /// Number of slots. It fits in `u32`, since ids are unique `u32`.
@@ -106,7 +124,10 @@ impl Geometry {
                 let page = start / self.page_slots;
                 let base = page * self.page_slots;
                 let page_end = base.saturating_add(self.page_slots);
-                let end = range.end.min(page_end).min(start.saturating_add(self.style.longest));
+                let end = range
+                    .end
+                    .min(page_end)
+                    .min(start.saturating_add(self.style.longest));
                 if bound != Some(page) {
                     pass.set_vertex_buffer(0, self.pages[page as usize].slice(..));
                     bound = Some(page);
@@ -119,7 +140,11 @@ impl Geometry {
     }
 }
 
-fn upload_page(device: &wgpu::Device, triangles: &[Triangle], page: &[u32]) -> Result<wgpu::Buffer, String> {
+fn upload_page(
+    device: &wgpu::Device,
+    triangles: &[Triangle],
+    page: &[u32],
+) -> Result<wgpu::Buffer, String> {
     let buffer = device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("triangles"),
         size: page.len() as u64 * TRIANGLE_BYTES,

@@ -74,7 +74,10 @@ pub(super) struct LineScene {
 /// the nearest such power.
 fn power_below(x: f32) -> (f32, f32) {
     let exponent = ((x.to_bits() >> 23) & 0xff).clamp(1, 253);
-    (f32::from_bits(exponent << 23), f32::from_bits((254 - exponent) << 23))
+    (
+        f32::from_bits(exponent << 23),
+        f32::from_bits((254 - exponent) << 23),
+    )
 }
 
 impl LineScene {
@@ -93,10 +96,17 @@ impl LineScene {
         let (unscale, scale) = power_below(bounds.min.abs().max(bounds.max.abs()).max_element());
         let scaled = |id: u32| scene.triangles()[id as usize].v.map(|v| v * scale);
         // Ids that the scene lacks are ignored.
-        let with_area = |id: &u32| scene.triangles().get(*id as usize).is_some_and(|t| !t.is_degenerate());
+        let with_area = |id: &u32| {
+            scene
+                .triangles()
+                .get(*id as usize)
+                .is_some_and(|t| !t.is_degenerate())
+        };
         let ids: Vec<u32> = distinct.par_iter().copied().filter(with_area).collect();
         let limits = device.limits();
-        let page_bytes = page_bytes.min(limits.max_storage_buffer_binding_size).min(limits.max_buffer_size);
+        let page_bytes = page_bytes
+            .min(limits.max_storage_buffer_binding_size)
+            .min(limits.max_buffer_size);
         // An even number, so that siblings are in the same page.
         let node_page = (page_bytes / (2 * NODE_BYTES) * 2).max(2);
         let triangle_page = (page_bytes / CORNERS_BYTES).max(1);
@@ -110,9 +120,12 @@ impl LineScene {
             )))
         };
         fits("triangles", ids.len(), triangle_page)?;
-        let boxes: Vec<Aabb> = ids.par_iter().map(|id| Triangle { v: scaled(*id) }.bounds()).collect();
-        let bvh =
-            Bvh::build(&boxes).map_err(|why| Refusal::Unavailable(format!("{why}; use --backend cpu")))?;
+        let boxes: Vec<Aabb> = ids
+            .par_iter()
+            .map(|id| Triangle { v: scaled(*id) }.bounds())
+            .collect();
+        let bvh = Bvh::build(&boxes)
+            .map_err(|why| Refusal::Unavailable(format!("{why}; use --backend cpu")))?;
         drop(boxes);
         fits("nodes", bvh.nodes.len(), node_page)?;
 
@@ -128,13 +141,26 @@ impl LineScene {
         let corners = |place: &u32| {
             let id = ids[*place as usize];
             let [a, b, c] = scaled(id);
-            Corners { a, id, b, side: scene.sides().side(id) as u32, c, unused_c: 0 }
+            Corners {
+                a,
+                id,
+                b,
+                side: scene.sides().side(id) as u32,
+                c,
+                unused_c: 0,
+            }
         };
         scoped(device, || {
             let nodes = pages(device, "line nodes", &bvh.nodes, node_page, |n| *n)?;
             let triangles = pages(device, "line triangles", &bvh.order, triangle_page, corners)?;
             let one_sided = !scene.sides().are_both();
-            let scene = filled(device, "line scene", wgpu::BufferUsages::UNIFORM, &[uniform], |u| *u)?;
+            let scene = filled(
+                device,
+                "line scene",
+                wgpu::BufferUsages::UNIFORM,
+                &[uniform],
+                |u| *u,
+            )?;
             let paged = nodes.len() > 1 || triangles.len() > 1;
             // Every binding needs a buffer; unused bindings get the first page, and the shader does not read
             // them.
@@ -154,12 +180,19 @@ impl LineScene {
                 ],
             ))
         })
-        .map(|made| Self { empty: ids.is_empty(), ..made })
+        .map(|made| Self {
+            empty: ids.is_empty(),
+            ..made
+        })
         .map_err(Refusal::Failed)
     }
 
     /// The scene's bindings, `bound` in the shader's order, and the shader's `constants`.
-    fn bind(device: &wgpu::Device, bound: &[wgpu::Buffer], constants: [(&'static str, f64); 4]) -> Self {
+    fn bind(
+        device: &wgpu::Device,
+        bound: &[wgpu::Buffer],
+        constants: [(&'static str, f64); 4],
+    ) -> Self {
         let stage = wgpu::ShaderStages::COMPUTE;
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = buffer(wgpu::BufferBindingType::Uniform, false);
@@ -167,14 +200,25 @@ impl LineScene {
             .map(|i| entry(i, stage, if i == 0 { uniform } else { storage(true) }))
             .collect();
         let layout_of = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
-            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+                label: Some(label),
+                entries,
+            })
         };
         let scene_layout = layout_of("line scene", &entries);
-        let rays_layout =
-            layout_of("rays", &[entry(0, stage, storage(true)), entry(1, stage, storage(false))]);
+        let rays_layout = layout_of(
+            "rays",
+            &[
+                entry(0, stage, storage(true)),
+                entry(1, stage, storage(false)),
+            ],
+        );
         let entries: Vec<_> = (0..)
             .zip(bound)
-            .map(|(binding, b)| wgpu::BindGroupEntry { binding, resource: b.as_entire_binding() })
+            .map(|(binding, b)| wgpu::BindGroupEntry {
+                binding,
+                resource: b.as_entire_binding(),
+            })
             .collect();
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("line scene"),
@@ -182,7 +226,14 @@ impl LineScene {
             entries: &entries,
         });
         let pipeline = OnceLock::new();
-        Self { pipeline, group, layout: scene_layout, constants, rays_layout, empty: false }
+        Self {
+            pipeline,
+            group,
+            layout: scene_layout,
+            constants,
+            rays_layout,
+            empty: false,
+        }
     }
 
     /// The pipeline of packets, made when the first are traced: whole rounds on the device need none.
@@ -201,19 +252,24 @@ impl LineScene {
                 label: Some("lines"),
                 source: wgpu::ShaderSource::Wgsl(source.into()),
             });
-            Ok(device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("lines"),
-                layout: Some(&layout),
-                module: &module,
-                entry_point: Some("trace"),
-                compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &self.constants,
-                    ..Default::default()
-                },
-                cache: None,
-            }))
+            Ok(
+                device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                    label: Some("lines"),
+                    layout: Some(&layout),
+                    module: &module,
+                    entry_point: Some("trace"),
+                    compilation_options: wgpu::PipelineCompilationOptions {
+                        constants: &self.constants,
+                        ..Default::default()
+                    },
+                    cache: None,
+                }),
+            )
         };
-        self.pipeline.get_or_init(|| scoped(device, make)).as_ref().map_err(Clone::clone)
+        self.pipeline
+            .get_or_init(|| scoped(device, make))
+            .as_ref()
+            .map_err(Clone::clone)
     }
 }
 
@@ -226,11 +282,20 @@ fn pages<T: Sync, P: Pod + Send>(
     convert: impl Fn(&T) -> P + Sync,
 ) -> Result<Vec<wgpu::Buffer>, String> {
     if items.is_empty() {
-        return Ok(vec![filled(device, label, wgpu::BufferUsages::STORAGE, &[()], |()| P::zeroed())?]);
+        return Ok(vec![filled(
+            device,
+            label,
+            wgpu::BufferUsages::STORAGE,
+            &[()],
+            |()| P::zeroed(),
+        )?]);
     }
     // A page larger than the address space holds all items.
     let page = usize::try_from(page).unwrap_or(usize::MAX);
-    items.chunks(page).map(|run| filled(device, label, wgpu::BufferUsages::STORAGE, run, &convert)).collect()
+    items
+        .chunks(page)
+        .map(|run| filled(device, label, wgpu::BufferUsages::STORAGE, run, &convert))
+        .collect()
 }
 
 /// A buffer with the converted `items`.
@@ -269,7 +334,11 @@ mod tests {
     fn powers_are_exact_inverses() {
         for x in [1e-45f32, 1e-30, 0.75, 1.0, 1.5, 3e7, 1e30, f32::MAX] {
             let (unscale, scale) = power_below(x);
-            assert!((scale * unscale - 1.0).abs() < f32::EPSILON && scale.is_normal() && unscale.is_normal());
+            assert!(
+                (scale * unscale - 1.0).abs() < f32::EPSILON
+                    && scale.is_normal()
+                    && unscale.is_normal()
+            );
             assert!(x < 1e-37 || (0.999..4.0).contains(&(x * scale)));
         }
     }

@@ -79,7 +79,11 @@ impl GpuBackend {
     /// [`BackendError::Unavailable`] when no adapter fits, or when the adapter or this backend does not
     /// support `spec` or the scene's coordinates; [`BackendError::Failed`] when the device cannot hold the
     /// scene.
-    pub fn new(scene: Arc<Scene>, spec: CubeSpec, choice: AdapterChoice) -> Result<Self, BackendError> {
+    pub fn new(
+        scene: Arc<Scene>,
+        spec: CubeSpec,
+        choice: AdapterChoice,
+    ) -> Result<Self, BackendError> {
         Self::with_pages(scene, spec, &choice, PAGE_BYTES)
     }
 
@@ -99,7 +103,14 @@ impl GpuBackend {
         let gpu = Gpu::open(&scene, spec, choice)?;
         let page_bytes = page_bytes.min(gpu.device.limits().max_buffer_size);
         let (drawn, work, lines) = Default::default();
-        Ok(Self { scene, page_bytes, drawn, work, lines, gpu })
+        Ok(Self {
+            scene,
+            page_bytes,
+            drawn,
+            work,
+            lines,
+            gpu,
+        })
     }
 
     /// The scene as cubes are drawn from it.
@@ -114,12 +125,23 @@ impl GpuBackend {
             for (rank, id) in (0..).zip(&order) {
                 ranks[*id as usize] = rank;
             }
-            let style = if self.gpu.software { DrawStyle::SOFTWARE } else { DrawStyle::HARDWARE };
+            let style = if self.gpu.software {
+                DrawStyle::SOFTWARE
+            } else {
+                DrawStyle::HARDWARE
+            };
             let (device, triangles) = (&self.gpu.device, self.scene.triangles());
             let whole = Geometry::upload(device, triangles, order, self.page_bytes, style)?;
-            Ok(Drawn { style, whole: Arc::new(whole), ranks })
+            Ok(Drawn {
+                style,
+                whole: Arc::new(whole),
+                ranks,
+            })
         };
-        self.drawn.get_or_init(make).as_ref().map_err(|reason: &String| self.gpu.failed(reason))
+        self.drawn
+            .get_or_init(make)
+            .as_ref()
+            .map_err(|reason: &String| self.gpu.failed(reason))
     }
 }
 
@@ -128,25 +150,42 @@ impl Backend for GpuBackend {
         &self.gpu.profile
     }
 
-    fn prepare(&self, superset: Option<&[u32]>) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
+    fn prepare(
+        &self,
+        superset: Option<&[u32]>,
+    ) -> Result<Box<dyn CubeRenderer + '_>, BackendError> {
         self.gpu.check()?;
-        let Drawn { style, whole, ranks } = self.drawn()?;
+        let Drawn {
+            style,
+            whole,
+            ranks,
+        } = self.drawn()?;
         let geometry = match superset {
             None => Arc::clone(whole),
             Some(ids) => {
                 let mut places = Vec::with_capacity(ids.len());
                 for id in ids {
                     let place = ranks.get(*id as usize).ok_or_else(|| {
-                        self.gpu
-                            .failed(format!("the superset names triangle {id} of a scene of {}", ranks.len()))
+                        self.gpu.failed(format!(
+                            "the superset names triangle {id} of a scene of {}",
+                            ranks.len()
+                        ))
                     })?;
                     places.extend((*place != NEVER).then_some(*place));
                 }
                 places.sort_unstable();
                 places.dedup();
-                let ids = places.into_iter().map(|place| whole.ids[place as usize]).collect();
-                let made =
-                    Geometry::upload(&self.gpu.device, self.scene.triangles(), ids, self.page_bytes, *style);
+                let ids = places
+                    .into_iter()
+                    .map(|place| whole.ids[place as usize])
+                    .collect();
+                let made = Geometry::upload(
+                    &self.gpu.device,
+                    self.scene.triangles(),
+                    ids,
+                    self.page_bytes,
+                    *style,
+                );
                 Arc::new(made.map_err(|reason| self.gpu.failed(reason))?)
             }
         };

@@ -34,9 +34,19 @@ struct FaceUniform {
 /// The uniforms of the six faces of a cube around each of `eyes`, [`FACE_STRIDE`] bytes apart.
 pub(super) fn face_uniforms(eyes: &[Vec3], near: f32) -> Vec<u8> {
     let mut bytes = vec![0; eyes.len() * 6 * FACE_STRIDE as usize];
-    let faces = eyes.iter().flat_map(|eye| (0..6).map(|face| (*eye, face_basis(face))));
-    for ((eye, [forward, right, up]), to) in faces.zip(bytes.chunks_exact_mut(FACE_STRIDE as usize)) {
-        let uniform = FaceUniform { right, near, up, forward, eye, ..FaceUniform::zeroed() };
+    let faces = eyes
+        .iter()
+        .flat_map(|eye| (0..6).map(|face| (*eye, face_basis(face))));
+    for ((eye, [forward, right, up]), to) in faces.zip(bytes.chunks_exact_mut(FACE_STRIDE as usize))
+    {
+        let uniform = FaceUniform {
+            right,
+            near,
+            up,
+            forward,
+            eye,
+            ..FaceUniform::zeroed()
+        };
         to[..size_of::<FaceUniform>()].copy_from_slice(bytemuck::bytes_of(&uniform));
     }
     bytes
@@ -79,7 +89,8 @@ pub(super) fn scoped_by_kind<T>(
     let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);
     let made = make();
     // Every scope is popped, innermost first, even when one holds an error.
-    let [invalid, full, broken] = [validation, memory, internal].map(|scope| pollster::block_on(scope.pop()));
+    let [invalid, full, broken] =
+        [validation, memory, internal].map(|scope| pollster::block_on(scope.pop()));
     // A buffer for which there was no memory is invalid where it is used.
     match (full, invalid.or(broken)) {
         (Some(error), _) => Err(Fault::Memory(error.to_string())),
@@ -112,7 +123,11 @@ impl Kit {
         let reduce_code = device.create_shader_module(wgpu::include_wgsl!("reduce.wgsl"));
         let faces_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("faces"),
-            entries: &[entry(0, wgpu::ShaderStages::VERTEX, buffer(wgpu::BufferBindingType::Uniform, true))],
+            entries: &[entry(
+                0,
+                wgpu::ShaderStages::VERTEX,
+                buffer(wgpu::BufferBindingType::Uniform, true),
+            )],
         });
         let storage = buffer(wgpu::BufferBindingType::Storage { read_only: false }, false);
         let items_binding = wgpu::BindingType::Texture {
@@ -158,7 +173,11 @@ impl Kit {
         let target = |label, format, usage| {
             device.create_texture(&wgpu::TextureDescriptor {
                 label: Some(label),
-                size: wgpu::Extent3d { width: 3 * n, height: 2 * n, depth_or_array_layers: 1 },
+                size: wgpu::Extent3d {
+                    width: 3 * n,
+                    height: 2 * n,
+                    depth_or_array_layers: 1,
+                },
                 mip_level_count: 1,
                 sample_count: 1,
                 dimension: wgpu::TextureDimension::D2,
@@ -172,7 +191,11 @@ impl Kit {
             wgpu::TextureFormat::R32Uint,
             wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_SRC,
         );
-        let depth = target("depth", wgpu::TextureFormat::Depth32Float, wgpu::TextureUsages::empty());
+        let depth = target(
+            "depth",
+            wgpu::TextureFormat::Depth32Float,
+            wgpu::TextureUsages::empty(),
+        );
         let compute = |entry_point| {
             device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(entry_point),
@@ -248,7 +271,11 @@ fn layout(device: &wgpu::Device, group: &wgpu::BindGroupLayout) -> wgpu::Pipelin
 }
 
 pub(super) fn buffer(ty: wgpu::BufferBindingType, has_dynamic_offset: bool) -> wgpu::BindingType {
-    wgpu::BindingType::Buffer { ty, has_dynamic_offset, min_binding_size: None }
+    wgpu::BindingType::Buffer {
+        ty,
+        has_dynamic_offset,
+        min_binding_size: None,
+    }
 }
 
 pub(super) fn entry(
@@ -256,5 +283,10 @@ pub(super) fn entry(
     visibility: wgpu::ShaderStages,
     ty: wgpu::BindingType,
 ) -> wgpu::BindGroupLayoutEntry {
-    wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None }
+    wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility,
+        ty,
+        count: None,
+    }
 }

@@ -42,9 +42,15 @@ impl Reading {
         let submission = gpu.queue.submit([encoder.finish()]);
         let (sender, mapped) = mpsc::channel();
         // The receiver is gone when an earlier batch failed.
-        buffer.map_async(wgpu::MapMode::Read, .., move |result| drop(sender.send(result)));
+        buffer.map_async(wgpu::MapMode::Read, .., move |result| {
+            drop(sender.send(result))
+        });
         gpu.check()?;
-        Ok(Self { buffer, submission, mapped })
+        Ok(Self {
+            buffer,
+            submission,
+            mapped,
+        })
     }
 
     /// Waits for the buffer, and gives its words to `read`; the buffer may be longer than was asked for.

@@ -92,7 +92,12 @@ impl<'a> GpuRenderer<'a> {
         work: &'a Mutex<Work>,
         geometry: Arc<Geometry>,
     ) -> Result<Self, BackendError> {
-        Ok(Self { gpu, kit: gpu.kit()?, work, geometry })
+        Ok(Self {
+            gpu,
+            kit: gpu.kit()?,
+            work,
+            geometry,
+        })
     }
 
     fn pixels(&self) -> u32 {
@@ -165,7 +170,11 @@ impl<'a> GpuRenderer<'a> {
     /// Makes buffers for this geometry's slots, if they are missing, and sets the reduction's parameters.
     fn make_room(&self, work: &mut Work) -> Result<(), BackendError> {
         let b = self.gpu;
-        if work.tally.as_ref().is_none_or(|t| t.slots < self.geometry.slots()) {
+        if work
+            .tally
+            .as_ref()
+            .is_none_or(|t| t.slots < self.geometry.slots())
+        {
             // The old buffers are freed first, since there may not be room for both.
             work.tally = None;
             let tally = Tally::new(&b.device, self.kit, self.geometry.slots(), self.pixels());
@@ -195,12 +204,31 @@ impl<'a> GpuRenderer<'a> {
 
     fn layout(&self, work: &Work, cubes: usize, want: Want) -> Layout {
         let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
-        let entries = if want.list { work.entries.saturating_mul(cubes as u32).min(capacity) } else { 0 };
-        let list_bytes = if want.list { LIST_HEAD + u64::from(entries) * ENTRY_BYTES } else { 0 };
+        let entries = if want.list {
+            work.entries.saturating_mul(cubes as u32).min(capacity)
+        } else {
+            0
+        };
+        let list_bytes = if want.list {
+            LIST_HEAD + u64::from(entries) * ENTRY_BYTES
+        } else {
+            0
+        };
         let (row_bytes, cube_bytes) = self.pixel_layout();
         let pixels_at = list_bytes.next_multiple_of(u64::from(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT));
-        let pixels = if want.pixels { cube_bytes * cubes as u64 } else { 0 };
-        Layout { entries, list_bytes, pixels_at, cube_bytes, row_bytes, bytes: pixels_at + pixels }
+        let pixels = if want.pixels {
+            cube_bytes * cubes as u64
+        } else {
+            0
+        };
+        Layout {
+            entries,
+            list_bytes,
+            pixels_at,
+            cube_bytes,
+            row_bytes,
+            bytes: pixels_at + pixels,
+        }
     }
 
     /// Records and submits a batch.
@@ -216,9 +244,16 @@ impl<'a> GpuRenderer<'a> {
         let layout = self.layout(work, cubes.len(), want);
         let buffer = work.spare.buffer(&self.gpu.device, layout.bytes);
         let eyes = &points[cubes.clone()];
-        b.queue.write_buffer(&self.kit.faces, 0, &face_uniforms(eyes, b.near));
-        let into = work.tally.as_ref().filter(|_| want.list).map(|tally| &tally.lists[list]);
-        let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        b.queue
+            .write_buffer(&self.kit.faces, 0, &face_uniforms(eyes, b.near));
+        let into = work
+            .tally
+            .as_ref()
+            .filter(|_| want.list)
+            .map(|tally| &tally.lists[list]);
+        let mut encoder = b
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         if let Some(into) = into {
             encoder.clear_buffer(&into.entries, 0, Some(LIST_HEAD));
         }
@@ -246,7 +281,12 @@ impl<'a> GpuRenderer<'a> {
             encoder.copy_buffer_to_buffer(&into.entries, 0, &buffer, 0, layout.list_bytes);
         }
         let read = Reading::submit(self.gpu, encoder, buffer)?;
-        Ok(Flight { cubes, list, layout, read })
+        Ok(Flight {
+            cubes,
+            list,
+            layout,
+            read,
+        })
     }
 
     /// Draws the cube number `cube` of a batch.
@@ -282,7 +322,11 @@ impl<'a> GpuRenderer<'a> {
                 continue;
             }
             let (x, y) = ((face % 3) * n, (face / 3) * n);
-            pass.set_bind_group(0, &kit.faces_group, &[(6 * cube + face) * FACE_STRIDE as u32]);
+            pass.set_bind_group(
+                0,
+                &kit.faces_group,
+                &[(6 * cube + face) * FACE_STRIDE as u32],
+            );
             pass.set_viewport(x as f32, y as f32, n as f32, n as f32, 0.0, 1.0);
             pass.set_scissor_rect(x, y, n, n);
             self.geometry.draw(&mut pass, ranges);
@@ -296,7 +340,11 @@ impl<'a> GpuRenderer<'a> {
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_bind_group(0, &list.group, &[]);
         pass.set_pipeline(&kit.reduce);
-        pass.dispatch_workgroups(n.div_ceil(SEGMENT * REDUCE_SIDE), (6 * n).div_ceil(REDUCE_SIDE), 1);
+        pass.dispatch_workgroups(
+            n.div_ceil(SEGMENT * REDUCE_SIDE),
+            (6 * n).div_ceil(REDUCE_SIDE),
+            1,
+        );
         pass.set_pipeline(&kit.gather);
         pass.dispatch_workgroups(GATHER_GROUPS, 1, 1);
         pass.set_pipeline(&kit.close);
@@ -311,12 +359,18 @@ impl<'a> GpuRenderer<'a> {
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
     ) -> Result<(), BackendError> {
-        let Flight { cubes, list, layout, read } = flight;
+        let Flight {
+            cubes,
+            list,
+            layout,
+            read,
+        } = flight;
         let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
         let (ends, mut entries, mut pixels) = read.words(self.gpu, &mut work.spare, |words| {
             let mut pixels = Vec::new();
             if want.pixels {
-                let all = words[layout.pixels_at as usize / 4..].chunks_exact(layout.cube_bytes as usize / 4);
+                let all = words[layout.pixels_at as usize / 4..]
+                    .chunks_exact(layout.cube_bytes as usize / 4);
                 for atlas in all.take(cubes.len()) {
                     pixels.push(Some(self.faces_of(atlas, layout.row_bytes)?));
                 }
@@ -333,15 +387,21 @@ impl<'a> GpuRenderer<'a> {
                 )));
             }
             let read = 3 * count.min(layout.entries) as usize;
-            Ok((ends, words[(LIST_HEAD / 4) as usize..][..read].to_vec(), pixels))
+            Ok((
+                ends,
+                words[(LIST_HEAD / 4) as usize..][..read].to_vec(),
+                pixels,
+            ))
         })?;
         let count = ends.last().copied().unwrap_or(0);
         if count > layout.entries && want.list {
             // The list stays as it is until this batch has landed.
             let rest = u64::from(count - layout.entries) * ENTRY_BYTES;
             let buffer = work.spare.buffer(&self.gpu.device, rest);
-            let mut encoder =
-                self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+            let mut encoder = self
+                .gpu
+                .device
+                .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
             if let Some(tally) = &work.tally {
                 let from = &tally.lists[list].entries;
                 encoder.copy_buffer_to_buffer(from, layout.list_bytes, &buffer, 0, rest);
@@ -363,7 +423,11 @@ impl<'a> GpuRenderer<'a> {
             start = end;
             let mut runs = Runs::with_capacity(own.len() / 3);
             for e in own.chunks_exact(3) {
-                let id = self.geometry.ids.get(e[0] as usize).ok_or_else(|| self.stray(e[0]))?;
+                let id = self
+                    .geometry
+                    .ids
+                    .get(e[0] as usize)
+                    .ok_or_else(|| self.stray(e[0]))?;
                 runs.push((*id, e[1], e[2]));
             }
             take(index, runs, pixels);
@@ -381,7 +445,11 @@ impl<'a> GpuRenderer<'a> {
             for item in &atlas[start..start + n] {
                 ids.push(match item.checked_sub(1) {
                     None => SKY,
-                    Some(slot) => *self.geometry.ids.get(slot as usize).ok_or_else(|| self.stray(slot))?,
+                    Some(slot) => *self
+                        .geometry
+                        .ids
+                        .get(slot as usize)
+                        .ok_or_else(|| self.stray(slot))?,
                 });
             }
         }
@@ -389,26 +457,44 @@ impl<'a> GpuRenderer<'a> {
     }
 
     fn stray(&self, slot: u32) -> BackendError {
-        self.gpu.failed(format!("it saw triangle {slot} of {} drawn", self.geometry.slots()))
+        self.gpu.failed(format!(
+            "it saw triangle {slot} of {} drawn",
+            self.geometry.slots()
+        ))
     }
 }
 
 impl CubeRenderer for GpuRenderer<'_> {
     fn samples(&self, points: &[Vec3]) -> Result<Vec<VisibilitySample>, BackendError> {
         let mut samples = vec![VisibilitySample::default(); points.len()];
-        let want = Want { list: true, pixels: self.gpu.spec.keep_pixels };
+        let want = Want {
+            list: true,
+            pixels: self.gpu.spec.keep_pixels,
+        };
         self.render(points, want, &mut |index, runs, pixels| {
-            samples[index] =
-                VisibilitySample { pixels: pixels.map(Into::into), ..VisibilitySample::from_runs(runs) };
+            samples[index] = VisibilitySample {
+                pixels: pixels.map(Into::into),
+                ..VisibilitySample::from_runs(runs)
+            };
         })?;
         Ok(samples)
     }
 
     fn image(&self, point: Vec3) -> Result<CubeImage, BackendError> {
         let mut ids = Vec::new();
-        self.render(&[point], Want { list: false, pixels: true }, &mut |_, _, pixels| {
-            ids = pixels.unwrap_or_default();
-        })?;
-        Ok(CubeImage { resolution: self.gpu.spec.resolution, ids })
+        self.render(
+            &[point],
+            Want {
+                list: false,
+                pixels: true,
+            },
+            &mut |_, _, pixels| {
+                ids = pixels.unwrap_or_default();
+            },
+        )?;
+        Ok(CubeImage {
+            resolution: self.gpu.spec.resolution,
+            ids,
+        })
     }
 }

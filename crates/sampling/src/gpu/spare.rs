@@ -26,13 +26,20 @@ struct Devices {
     in_use: usize,
 }
 
-static DEVICES: Mutex<Devices> = Mutex::new(Devices { spare: Vec::new(), broken: Vec::new(), in_use: 0 });
+static DEVICES: Mutex<Devices> = Mutex::new(Devices {
+    spare: Vec::new(),
+    broken: Vec::new(),
+    in_use: 0,
+});
 
 /// A spare device of a choice. The caller counts as a user in any case; without a spare device it opens one.
 pub(super) fn take(choice: &AdapterChoice) -> Option<Opened> {
     let mut devices = lock(&DEVICES);
     devices.in_use += 1;
-    let place = devices.spare.iter().position(|opened| opened.choice == *choice)?;
+    let place = devices
+        .spare
+        .iter()
+        .position(|opened| opened.choice == *choice)?;
     Some(devices.spare.swap_remove(place))
 }
 

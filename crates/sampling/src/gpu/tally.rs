@@ -35,7 +35,9 @@ pub(super) struct List {
 
 /// Most slots for which a device can hold masks and counts: one word of a storage binding for each slot.
 pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
-    let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let bytes = limits
+        .max_storage_buffer_binding_size
+        .min(limits.max_buffer_size);
     u32::try_from(bytes / 4).unwrap_or(u32::MAX)
 }
 
@@ -44,16 +46,28 @@ impl Tally {
     ///
     /// # Errors
     /// What the device says when it has no room.
-    pub(super) fn new(device: &wgpu::Device, kit: &Kit, slots: u32, pixels: u32) -> Result<Self, String> {
+    pub(super) fn new(
+        device: &wgpu::Device,
+        kit: &Kit,
+        slots: u32,
+        pixels: u32,
+    ) -> Result<Self, String> {
         let limits = device.limits();
         // Rounded up, so that supersets of similar size share one allocation.
-        let slots = slots.checked_next_power_of_two().unwrap_or(u32::MAX).min(most_slots(&limits)).max(1);
-        let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let slots = slots
+            .checked_next_power_of_two()
+            .unwrap_or(u32::MAX)
+            .min(most_slots(&limits))
+            .max(1);
+        let bytes = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
         // A cube shows at most as many triangles as it has pixels, so a list can overflow only where the
         // device's limits shorten it.
         let room = u32::try_from(bytes.saturating_sub(LIST_HEAD) / ENTRY_BYTES).unwrap_or(u32::MAX);
         let cube = slots.min(pixels);
-        let cubes = (LIST_BYTES / (u64::from(cube) * ENTRY_BYTES)).clamp(1, u64::from(CUBES)) as u32;
+        let cubes =
+            (LIST_BYTES / (u64::from(cube) * ENTRY_BYTES)).clamp(1, u64::from(CUBES)) as u32;
         // At most 4096² · 6 of one cube, and less than 2²³ of several.
         let capacity = (cube * cubes).min(room);
         scoped(device, || {
@@ -69,8 +83,11 @@ impl Tally {
             let counts = storage("counts", u64::from(slots) * 4, wgpu::BufferUsages::empty());
             let lists = std::array::from_fn(|_| {
                 let bytes = LIST_HEAD + u64::from(capacity) * ENTRY_BYTES;
-                let entries =
-                    storage("list", bytes, wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST);
+                let entries = storage(
+                    "list",
+                    bytes,
+                    wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST,
+                );
                 let bind = |binding, resource| wgpu::BindGroupEntry { binding, resource };
                 let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
                     label: Some("tally"),
@@ -85,7 +102,12 @@ impl Tally {
                 });
                 List { entries, group }
             });
-            Ok(Self { slots, capacity, cubes, lists })
+            Ok(Self {
+                slots,
+                capacity,
+                cubes,
+                lists,
+            })
         })
     }
 }

@@ -16,18 +16,35 @@ fn shell(count: u32) -> Arc<Scene> {
             let r = (1.0 - z * z).sqrt();
             let c = Vec3::new(r * a.cos(), r * a.sin(), z) * (2.0 + (i % 7) as f32 * 0.3);
             sightline_scene::Triangle {
-                v: [c, c + Vec3::new(0.3, 0.1, 0.2), c + Vec3::new(-0.1, 0.25, -0.2)],
+                v: [
+                    c,
+                    c + Vec3::new(0.3, 0.1, 0.2),
+                    c + Vec3::new(-0.1, 0.25, -0.2),
+                ],
             }
         })
         .collect();
-    let objects = vec![Object { name: "shell".into(), first: 0, count }];
+    let objects = vec![Object {
+        name: "shell".into(),
+        first: 0,
+        count,
+    }];
     Arc::new(Scene::new("shell", triangles, objects).expect("valid"))
 }
 
-const SPEC: CubeSpec = CubeSpec { resolution: 48, strata: Strata::Quadrants, keep_pixels: false };
+const SPEC: CubeSpec = CubeSpec {
+    resolution: 48,
+    strata: Strata::Quadrants,
+    keep_pixels: false,
+};
 
 fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
-    match GpuBackend::with_pages(scene.clone(), SPEC, &AdapterChoice::AllowSoftware, page_bytes) {
+    match GpuBackend::with_pages(
+        scene.clone(),
+        SPEC,
+        &AdapterChoice::AllowSoftware,
+        page_bytes,
+    ) {
         Ok(backend) => Some(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             println!("not run: {why}");
@@ -41,21 +58,36 @@ fn backend(scene: &Arc<Scene>, page_bytes: u64) -> Option<GpuBackend> {
 #[test]
 fn pages_and_draws_change_no_pixel() {
     let scene = shell(1000);
-    let (Some(one), Some(many)) = (backend(&scene, PAGE_BYTES), backend(&scene, 1)) else { return };
-    let eyes = [Vec3::ZERO, Vec3::new(2.2, 0.3, -0.4), Vec3::new(0.0, -5.0, 40.0)];
+    let (Some(one), Some(many)) = (backend(&scene, PAGE_BYTES), backend(&scene, 1)) else {
+        return;
+    };
+    let eyes = [
+        Vec3::ZERO,
+        Vec3::new(2.2, 0.3, -0.4),
+        Vec3::new(0.0, -5.0, 40.0),
+    ];
     let expected = one.prepare(None).unwrap().samples(&eyes).unwrap();
     assert!(expected.iter().all(|s| !s.ids.is_empty()));
     for backend in [&one, &many] {
         for style in [DrawStyle::HARDWARE, DrawStyle::SOFTWARE] {
             let ids = backend.drawn().unwrap().whole.ids.clone();
-            let geometry =
-                Geometry::upload(&backend.gpu.device, scene.triangles(), ids, backend.page_bytes, style)
-                    .unwrap();
-            let renderer = GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry)).unwrap();
+            let geometry = Geometry::upload(
+                &backend.gpu.device,
+                scene.triangles(),
+                ids,
+                backend.page_bytes,
+                style,
+            )
+            .unwrap();
+            let renderer =
+                GpuRenderer::new(&backend.gpu, &backend.work, Arc::new(geometry)).unwrap();
             assert_eq!(expected, renderer.samples(&eyes).unwrap(), "{style:?}");
             for (eye, sample) in eyes.iter().zip(&expected) {
                 let image = renderer.image(*eye).unwrap();
-                assert_eq!(*sample, crate::cube::sample_of_image(&image, SPEC.strata, false));
+                assert_eq!(
+                    *sample,
+                    crate::cube::sample_of_image(&image, SPEC.strata, false)
+                );
             }
         }
     }
@@ -63,7 +95,9 @@ fn pages_and_draws_change_no_pixel() {
 
 #[test]
 fn a_lost_device_is_an_error() {
-    let Some(backend) = backend(&shell(200), PAGE_BYTES) else { return };
+    let Some(backend) = backend(&shell(200), PAGE_BYTES) else {
+        return;
+    };
     let renderer = backend.prepare(None).unwrap();
     renderer.samples(&[Vec3::ZERO]).unwrap();
     backend.gpu.device.destroy();
@@ -78,17 +112,29 @@ fn a_lost_device_is_an_error() {
 #[test]
 fn a_device_serves_the_next_backend() {
     let scene = shell(10);
-    let Some(any) = backend(&scene, PAGE_BYTES) else { return };
-    let Some(first) = adapters().first().cloned() else { panic!("an adapter without a summary") };
+    let Some(any) = backend(&scene, PAGE_BYTES) else {
+        return;
+    };
+    let Some(first) = adapters().first().cloned() else {
+        panic!("an adapter without a summary")
+    };
     // No other test chooses it like this.
     let choice = AdapterChoice::Named(first.name[..first.name.len() - 1].to_owned());
     drop(any);
     for lost in [false, true] {
         let backend = GpuBackend::new(scene.clone(), SPEC, choice.clone()).unwrap();
-        backend.prepare(None).unwrap().samples(&[Vec3::ZERO]).unwrap();
+        backend
+            .prepare(None)
+            .unwrap()
+            .samples(&[Vec3::ZERO])
+            .unwrap();
         if lost {
             backend.gpu.device.destroy();
-            backend.prepare(None).unwrap().samples(&[Vec3::ZERO]).unwrap_err();
+            backend
+                .prepare(None)
+                .unwrap()
+                .samples(&[Vec3::ZERO])
+                .unwrap_err();
         }
         drop(backend);
         let spare = spare::take(&choice);
@@ -105,9 +151,17 @@ fn impossible_requests_are_refused_with_a_reason() {
         let refused = GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware);
         assert!(matches!(refused, Err(BackendError::Unavailable(_))));
     }
-    let Some(backend) = backend(&scene, PAGE_BYTES) else { return };
+    let Some(backend) = backend(&scene, PAGE_BYTES) else {
+        return;
+    };
     assert!(backend.prepare(Some(&[10])).is_err());
-    assert!(backend.prepare(None).unwrap().samples(&[Vec3::NAN]).is_err());
+    assert!(
+        backend
+            .prepare(None)
+            .unwrap()
+            .samples(&[Vec3::NAN])
+            .is_err()
+    );
     let named = GpuBackend::new(scene, SPEC, AdapterChoice::Named("no such adapter".into()));
     assert!(matches!(named, Err(BackendError::Unavailable(text)) if text.contains("there are")));
 }

@@ -65,7 +65,11 @@ pub(super) struct LineKit {
 
 impl LineKit {
     pub(super) fn new(scene: LineScene) -> Self {
-        Self { scene, pool: Mutex::default(), rounds: RoundsKit::default() }
+        Self {
+            scene,
+            pool: Mutex::default(),
+            rounds: RoundsKit::default(),
+        }
     }
 
     /// What whole rounds on the device need.
@@ -77,7 +81,10 @@ impl LineKit {
     fn slot(&self, device: &wgpu::Device, packets: usize) -> Result<Slot, String> {
         let spare = {
             let mut pool = lock(&self.pool);
-            let fit = pool.iter().enumerate().filter(|(_, s)| s.capacity >= packets);
+            let fit = pool
+                .iter()
+                .enumerate()
+                .filter(|(_, s)| s.capacity >= packets);
             let place = fit.min_by_key(|(_, s)| s.capacity).map(|(place, _)| place);
             place.map(|place| pool.swap_remove(place))
         };
@@ -118,12 +125,25 @@ impl Slot {
             let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
                 label: Some("rays"),
                 layout: &scene.rays_layout,
-                entries: &[bind(0, rays.as_entire_binding()), bind(1, hits.as_entire_binding())],
+                entries: &[
+                    bind(0, rays.as_entire_binding()),
+                    bind(1, hits.as_entire_binding()),
+                ],
             });
             Ok(Self {
                 capacity,
-                upload: make("ray upload", RAY_WORDS, Use::MAP_WRITE | Use::COPY_SRC, true),
-                read_back: make("hit read-back", HIT_WORDS, Use::MAP_READ | Use::COPY_DST, false),
+                upload: make(
+                    "ray upload",
+                    RAY_WORDS,
+                    Use::MAP_WRITE | Use::COPY_SRC,
+                    true,
+                ),
+                read_back: make(
+                    "hit read-back",
+                    HIT_WORDS,
+                    Use::MAP_READ | Use::COPY_DST,
+                    false,
+                ),
                 rays,
                 hits,
                 group,
@@ -136,15 +156,20 @@ impl Slot {
     fn fill(&self, packets: &[Packet]) -> Result<(), wgpu::MapRangeError> {
         {
             let bytes = 4 * RAY_WORDS;
-            let mut view = self.upload.get_mapped_range_mut(..(packets.len() * bytes) as u64)?;
+            let mut view = self
+                .upload
+                .get_mapped_range_mut(..(packets.len() * bytes) as u64)?;
             for (i, packet) in packets.iter().enumerate() {
                 let mut direction = packet.direction;
                 if packet.count < LANES {
-                    direction.iter_mut().for_each(|d| d[packet.count..].fill(0.0));
+                    direction
+                        .iter_mut()
+                        .for_each(|d| d[packet.count..].fill(0.0));
                 }
                 let halves = [&packet.origin, &direction];
                 for (half, at) in halves.into_iter().zip([i * bytes, i * bytes + bytes / 2]) {
-                    view.slice(at..at + bytes / 2).copy_from_slice(bytemuck::cast_slice(half));
+                    view.slice(at..at + bytes / 2)
+                        .copy_from_slice(bytemuck::cast_slice(half));
                 }
             }
         }
@@ -164,7 +189,9 @@ pub(super) struct GpuTracer<'a> {
 impl<'a> GpuTracer<'a> {
     pub(super) fn new(gpu: &'a Gpu, kit: Arc<LineKit>) -> Self {
         let limits = gpu.device.limits();
-        let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+        let bytes = limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size);
         let room = usize::try_from(bytes / (4 * RAY_WORDS as u64)).unwrap_or(MOST_BATCH);
         let groups = limits.max_compute_workgroups_per_dimension as usize * GROUP;
         // A power of two, like the capacities of slots.
@@ -196,10 +223,20 @@ impl<'a> GpuTracer<'a> {
     /// Records and submits one batch.
     fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<Flight<'p>, BackendError> {
         let b = self.gpu;
-        let slot = self.kit.slot(&b.device, packets.len()).map_err(|reason| b.failed(reason))?;
-        slot.fill(packets).map_err(|e| b.failed(format!("writing rays: {e}")))?;
-        let pipeline = self.kit.scene.pipeline(&b.device).map_err(|reason| b.failed(reason))?;
-        let mut encoder = b.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let slot = self
+            .kit
+            .slot(&b.device, packets.len())
+            .map_err(|reason| b.failed(reason))?;
+        slot.fill(packets)
+            .map_err(|e| b.failed(format!("writing rays: {e}")))?;
+        let pipeline = self
+            .kit
+            .scene
+            .pipeline(&b.device)
+            .map_err(|reason| b.failed(reason))?;
+        let mut encoder = b
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         let bytes = |words: usize| (packets.len() * words * 4) as u64;
         encoder.copy_buffer_to_buffer(&slot.upload, 0, &slot.rays, 0, bytes(RAY_WORDS));
         {
@@ -216,16 +253,30 @@ impl<'a> GpuTracer<'a> {
         let (sender, mapped) = mpsc::channel();
         let again = sender.clone();
         // The receiver is gone when an earlier batch failed.
-        slot.read_back.map_async(wgpu::MapMode::Read, ..bytes(HIT_WORDS), move |r| drop(sender.send(r)));
-        slot.upload.map_async(wgpu::MapMode::Write, .., move |r| drop(again.send(r)));
+        slot.read_back
+            .map_async(wgpu::MapMode::Read, ..bytes(HIT_WORDS), move |r| {
+                drop(sender.send(r))
+            });
+        slot.upload
+            .map_async(wgpu::MapMode::Write, .., move |r| drop(again.send(r)));
         b.check()?;
-        Ok(Flight { packets, slot, submission, mapped })
+        Ok(Flight {
+            packets,
+            slot,
+            submission,
+            mapped,
+        })
     }
 
     /// Waits for a batch and reads its hits. The slot returns to the pool only on success.
     fn land(&self, flight: Flight<'_>) -> Result<(), BackendError> {
         let b = self.gpu;
-        let Flight { packets, slot, submission, mapped } = flight;
+        let Flight {
+            packets,
+            slot,
+            submission,
+            mapped,
+        } = flight;
         b.wait(submission)?;
         for _ in 0..2 {
             match mapped.recv_timeout(PATIENCE) {
@@ -259,11 +310,19 @@ impl LineTracer for GpuTracer<'_> {
     }
 
     fn trace(&self, packets: &mut [Packet]) -> Result<(), BackendError> {
-        let batch = packets.len().div_ceil(CUTS).max(LEAST_BATCH).next_power_of_two().min(self.most);
+        let batch = packets
+            .len()
+            .div_ceil(CUTS)
+            .max(LEAST_BATCH)
+            .next_power_of_two()
+            .min(self.most);
         self.trace_in(packets, batch)
     }
 
-    fn rounds<'b>(&'b self, block: &DeviceBlock<'_>) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
+    fn rounds<'b>(
+        &'b self,
+        block: &DeviceBlock<'_>,
+    ) -> Result<Option<Box<dyn Rounds + 'b>>, BackendError> {
         let (scene, kit) = self.kit.for_rounds();
         let made = GpuRounds::new(self.gpu, scene, kit, block)?;
         Ok(made.map(|rounds| Box::new(rounds) as Box<dyn Rounds + 'b>))

@@ -24,14 +24,24 @@ fn point(i: u32) -> Vec3 {
 fn soup(count: u32) -> Arc<Scene> {
     let triangles = (0..count).map(|i| {
         let c = point(4 * i);
-        Triangle { v: [1, 2, 3].map(|k| c + point(4 * i + k) * 0.2) }
+        Triangle {
+            v: [1, 2, 3].map(|k| c + point(4 * i + k) * 0.2),
+        }
     });
-    let objects = vec![Object { name: "soup".into(), first: 0, count }];
+    let objects = vec![Object {
+        name: "soup".into(),
+        first: 0,
+        count,
+    }];
     Arc::new(Scene::new("soup", triangles.collect(), objects).unwrap())
 }
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
-    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 16,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
@@ -56,26 +66,44 @@ fn packets(count: u32) -> Vec<Packet> {
 }
 
 fn bits(packets: &[Packet]) -> Vec<([u32; LANES], [u32; LANES])> {
-    packets.iter().map(|p| (p.distance.map(f32::to_bits), p.triangle)).collect()
+    packets
+        .iter()
+        .map(|p| (p.distance.map(f32::to_bits), p.triangle))
+        .collect()
 }
 
 #[test]
 fn batches_pages_and_threads_change_no_bit() {
     let scene = soup(500);
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let tracer = |page_bytes| {
-        let scene =
-            LineScene::new(&backend.gpu.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), page_bytes)
-                .unwrap();
+        let scene = LineScene::new(
+            &backend.gpu.device,
+            &scene,
+            &(0..scene.len()).collect::<Vec<_>>(),
+            page_bytes,
+        )
+        .unwrap();
         GpuTracer::new(&backend.gpu, Arc::new(LineKit::new(scene)))
     };
     let one = tracer(u64::MAX);
     let mut expected = packets(700);
     one.trace(&mut expected).unwrap();
-    assert!(expected.iter().any(|p| p.triangle.iter().any(|t| *t != SKY)));
+    assert!(
+        expected
+            .iter()
+            .any(|p| p.triangle.iter().any(|t| *t != SKY))
+    );
     for p in &expected {
         assert!(p.triangle[p.count..].iter().all(|t| *t == SKY));
-        assert!(p.triangle.iter().zip(p.distance).all(|(t, d)| (*t == SKY) == d.is_infinite()));
+        assert!(
+            p.triangle
+                .iter()
+                .zip(p.distance)
+                .all(|(t, d)| (*t == SKY) == d.is_infinite())
+        );
     }
     // Three pages of 224 triangles each, and of 336 nodes each; there are at most twice as many nodes as
     // triangles.
@@ -101,17 +129,29 @@ fn batches_pages_and_threads_change_no_bit() {
 #[test]
 fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
     let scene = soup(500);
-    let Some(backend) = backend(&scene) else { return };
-    let refused =
-        LineScene::new(&backend.gpu.device, &scene, &(0..scene.len()).collect::<Vec<_>>(), 100 * 48);
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let refused = LineScene::new(
+        &backend.gpu.device,
+        &scene,
+        &(0..scene.len()).collect::<Vec<_>>(),
+        100 * 48,
+    );
     assert!(matches!(refused, Err(Refusal::Unavailable(why)) if why.contains("4800 bytes")));
 }
 
 #[test]
 fn a_lost_device_is_an_error() {
-    let Some(backend) = backend(&soup(50)) else { return };
-    let tracer =
-        backend.lines(crate::LineSet::Blocking, &(0..backend.scene.len()).collect::<Vec<_>>()).unwrap();
+    let Some(backend) = backend(&soup(50)) else {
+        return;
+    };
+    let tracer = backend
+        .lines(
+            crate::LineSet::Blocking,
+            &(0..backend.scene.len()).collect::<Vec<_>>(),
+        )
+        .unwrap();
     tracer.trace(&mut packets(20)).unwrap();
     backend.gpu.device.destroy();
     for _ in 0..2 {

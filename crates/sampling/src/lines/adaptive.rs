@@ -51,7 +51,15 @@ pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
     drop(block);
     let part = sampled.part(job, &tile.cell, (tile.depth, 0));
     part.cells.iter().for_each(|_| watcher.cell_done());
-    Ok((CellSets { nodes: part.nodes, cells: part.cells, pairs: None, portals: Vec::new() }, rays))
+    Ok((
+        CellSets {
+            nodes: part.nodes,
+            cells: part.cells,
+            pairs: None,
+            portals: Vec::new(),
+        },
+        rays,
+    ))
 }
 
 /// A part of the tree, in preorder.
@@ -79,12 +87,17 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
     let (min, max) = cell.world(&job.lattice);
     let (mut sides, mut cells) = ([1; 3], vec![*cell]);
     for level in 0..LEVELS {
-        let splits: Option<Vec<Split>> =
-            cells.iter().map(|c| job.division.split(&job.lattice, c, depth + level)).collect();
+        let splits: Option<Vec<Split>> = cells
+            .iter()
+            .map(|c| job.division.split(&job.lattice, c, depth + level))
+            .collect();
         // The tree ends where no plane is left; this can happen in some cells of a level only.
-        let Some(splits) = splits else { return (level, sides) };
+        let Some(splits) = splits else {
+            return (level, sides);
+        };
         let axis = splits[0].axis;
-        let halves = |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
+        let halves =
+            |(c, s): (&CellBox, &Split)| s.axis == axis && s.at - c.lo[axis] == c.hi[axis] - s.at;
         let mut finer = sides;
         finer[axis] *= 2;
         let fine = CellGrid::new(min, max, finer).margin() > MOST_MARGIN;
@@ -92,7 +105,11 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
             return (level, sides);
         }
         sides = finer;
-        cells = cells.iter().zip(splits).flat_map(|(c, s)| c.children(s)).collect();
+        cells = cells
+            .iter()
+            .zip(splits)
+            .flat_map(|(c, s)| c.children(s))
+            .collect();
     }
     (LEVELS, sides)
 }
@@ -100,12 +117,17 @@ fn regular(job: &JobContext<'_>, cell: &CellBox, depth: u32) -> (u32, [u32; 3]) 
 impl Sampled {
     /// The tree of a cell at a depth, `level` levels below the cell of the block.
     fn part(&mut self, job: &JobContext<'_>, cell: &CellBox, (depth, level): (u32, u32)) -> Part {
-        let split = job.division.split(&job.lattice, cell, depth).filter(|_| level < self.levels);
+        let split = job
+            .division
+            .split(&job.lattice, cell, depth)
+            .filter(|_| level < self.levels);
         let Some(split) = split else {
             let (seen, stats) = self.take(cell);
             return Part::leaf(seen, stats);
         };
-        let [below, above] = cell.children(split).map(|c| self.part(job, &c, (depth + 1, level + 1)));
+        let [below, above] = cell
+            .children(split)
+            .map(|c| self.part(job, &c, (depth + 1, level + 1)));
         let seen = union(&below.seen, &above.seen);
         let stats = below.stats.joined(&above.stats);
         if !job.division.wants_split(seen.len(), depth) {
@@ -115,23 +137,40 @@ impl Sampled {
         nodes.extend(below.nodes.into_iter().chain(above.nodes));
         let mut cells = below.cells;
         cells.extend(above.cells);
-        Part { nodes, cells, seen, stats }
+        Part {
+            nodes,
+            cells,
+            seen,
+            stats,
+        }
     }
 
     /// The set and the statistics of one of the small cells.
     fn take(&mut self, cell: &CellBox) -> (Vec<u32>, CellStats) {
         let sides = self.grid.cells();
-        let at =
-            [0, 1, 2].map(|a| (cell.lo[a] - self.of.lo[a]) / ((self.of.hi[a] - self.of.lo[a]) / sides[a]));
+        let at = [0, 1, 2]
+            .map(|a| (cell.lo[a] - self.of.lo[a]) / ((self.of.hi[a] - self.of.lo[a]) / sides[a]));
         let stats = self.stats[((at[2] * sides[1] + at[1]) * sides[0] + at[0]) as usize];
-        (std::mem::take(&mut self.columns[self.grid.slot(at).index()]), stats)
+        (
+            std::mem::take(&mut self.columns[self.grid.slot(at).index()]),
+            stats,
+        )
     }
 }
 
 impl Part {
     fn leaf(seen: Vec<u32>, stats: CellStats) -> Self {
-        let cell = CellSet { visible: seen.clone(), stats, ..CellSet::default() };
-        Self { nodes: vec![Node::Cell], cells: vec![cell], seen, stats }
+        let cell = CellSet {
+            visible: seen.clone(),
+            stats,
+            ..CellSet::default()
+        };
+        Self {
+            nodes: vec![Node::Cell],
+            cells: vec![cell],
+            seen,
+            stats,
+        }
     }
 }
 
@@ -167,16 +206,22 @@ mod tests {
     fn every_cell_of_every_level_has_a_number_of_its_own() {
         // Halved along x, y, x, z; blocks of two levels each.
         let units = [1 << 16; 3];
-        let root = CellBox { lo: [0; 3], hi: units };
+        let root = CellBox {
+            lo: [0; 3],
+            hi: units,
+        };
         let halves = |cells: &[CellBox], axis: usize| -> Vec<CellBox> {
             let at = |c: &CellBox| c.lo[axis] + (c.hi[axis] - c.lo[axis]) / 2;
-            cells.iter().flat_map(|c| c.children(Split { axis, at: at(c) })).collect()
+            cells
+                .iter()
+                .flat_map(|c| c.children(Split { axis, at: at(c) }))
+                .collect()
         };
         let (mut numbers, mut many) = (BTreeSet::new(), 0);
         let mut add = |block: &CellBox, sides: [u32; 3]| {
-            for (z, y, x) in (0..sides[2])
-                .flat_map(|z| (0..sides[1]).flat_map(move |y| (0..sides[0]).map(move |x| (z, y, x))))
-            {
+            for (z, y, x) in (0..sides[2]).flat_map(|z| {
+                (0..sides[1]).flat_map(move |y| (0..sides[0]).map(move |x| (z, y, x)))
+            }) {
                 numbers.insert(number(units, block, sides, [x, y, z]));
                 many += 1;
             }

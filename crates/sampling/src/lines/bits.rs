@@ -31,7 +31,12 @@ impl SeenBits {
         let now = all().map(|_| AtomicU64::new(0)).collect();
         let mut touched = Vec::new();
         touched.resize_with(rows.div_ceil(GROUP), || AtomicU8::new(0));
-        Self { words, before, now, touched }
+        Self {
+            words,
+            before,
+            now,
+            touched,
+        }
     }
 
     /// Words of a row.
@@ -97,7 +102,12 @@ impl SeenBits {
     /// Calls `each` with the place of every word of a row group that has credits since the last barrier.
     fn each_touched(&self, mut each: impl FnMut(usize)) {
         let group = GROUP * self.words;
-        for (number, _) in self.touched.iter().enumerate().filter(|(_, t)| t.load(Relaxed) != 0) {
+        for (number, _) in self
+            .touched
+            .iter()
+            .enumerate()
+            .filter(|(_, t)| t.load(Relaxed) != 0)
+        {
             (number * group..((number + 1) * group).min(self.now.len())).for_each(&mut each);
         }
     }
@@ -139,7 +149,8 @@ impl SeenBits {
         for (row, with) in (items as usize..).zip(shared) {
             for word in 0..self.words {
                 let bits = self.before[row * self.words + word];
-                with.iter().for_each(|item| self.before[*item as usize * self.words + word] |= bits);
+                with.iter()
+                    .for_each(|item| self.before[*item as usize * self.words + word] |= bits);
             }
         }
         self.before.truncate(items as usize * self.words);
@@ -147,10 +158,15 @@ impl SeenBits {
 
     /// Adds to the row of each item the rows of its triangles, as of the last barrier.
     pub fn gather(&self, members: &[Vec<u32>], items: &mut [u64]) {
-        let rows = items.par_chunks_mut(self.words).zip(members).with_min_len(64);
+        let rows = items
+            .par_chunks_mut(self.words)
+            .zip(members)
+            .with_min_len(64);
         rows.for_each(|(item, triangles)| {
             for triangle in triangles {
-                item.iter_mut().zip(self.row(*triangle)).for_each(|(all, bits)| *all |= bits);
+                item.iter_mut()
+                    .zip(self.row(*triangle))
+                    .for_each(|(all, bits)| *all |= bits);
             }
         });
     }
@@ -165,7 +181,13 @@ impl SeenBits {
     /// The triangles seen from each cell of a word, ascending.
     pub fn columns(&self, word: u32) -> Vec<Vec<u32>> {
         let mut columns = vec![Vec::new(); 64];
-        for (triangle, bits) in self.before.iter().skip(word as usize).step_by(self.words).enumerate() {
+        for (triangle, bits) in self
+            .before
+            .iter()
+            .skip(word as usize)
+            .step_by(self.words)
+            .enumerate()
+        {
             let mut rest = *bits;
             while rest != 0 {
                 columns[rest.trailing_zeros() as usize].push(triangle as u32);

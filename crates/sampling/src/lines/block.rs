@@ -110,25 +110,36 @@ impl Cell {
     /// sequence of points from there on that the region holds, or any point of the region in the cell.
     pub(super) fn origin(&self, places: Option<&dyn Places>, f: impl Into<Vec3>) -> [f32; 3] {
         let f: Vec3 = f.into();
-        let Some(places) = places else { return self.point(f) };
+        let Some(places) = places else {
+            return self.point(f);
+        };
         let tries = (1..).map(|number| self.point(spread3(number, f.to_array())));
-        self.held(places, std::iter::once(self.point(f)).chain(tries)).unwrap_or_else(|| self.point(f))
+        self.held(places, std::iter::once(self.point(f)).chain(tries))
+            .unwrap_or_else(|| self.point(f))
     }
 
     /// A random viewpoint, uniform where viewpoints are, unless the region fills hardly any of the marked
     /// parts ([`TRIES`]).
-    pub(super) fn random_origin(&self, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
+    pub(super) fn random_origin(
+        &self,
+        places: Option<&dyn Places>,
+        random: &mut Hashed,
+    ) -> [f32; 3] {
         let first = self.point(random.point());
         let Some(places) = places else { return first };
-        let tries = std::iter::once(first).chain(std::iter::repeat_with(|| self.point(random.point())));
+        let tries =
+            std::iter::once(first).chain(std::iter::repeat_with(|| self.point(random.point())));
         self.held(places, tries).unwrap_or(first)
     }
 
     fn held(&self, places: &dyn Places, tries: impl Iterator<Item = [f32; 3]>) -> Option<[f32; 3]> {
-        tries.take(TRIES).find(|p| places.hold(Vec3::from(*p))).or_else(|| {
-            let own = Aabb::new(self.lo, self.lo + self.size);
-            places.any_in(own).map(|p| p.to_array())
-        })
+        tries
+            .take(TRIES)
+            .find(|p| places.hold(Vec3::from(*p)))
+            .or_else(|| {
+                let own = Aabb::new(self.lo, self.lo + self.size);
+                places.any_in(own).map(|p| p.to_array())
+            })
     }
 
     /// Whether viewpoints are everywhere in it.
@@ -224,7 +235,14 @@ impl<'a> Block<'a> {
             .each()
             .map(|at| {
                 let (lo, size) = grid.cell_box(at);
-                Cell { at, slot: grid.slot(at), lo, size, number: number(at), parts: parts(at) }
+                Cell {
+                    at,
+                    slot: grid.slot(at),
+                    lo,
+                    size,
+                    number: number(at),
+                    parts: parts(at),
+                }
             })
             .collect();
         let mut reached = Vec::new();
@@ -303,13 +321,19 @@ impl<'a> Block<'a> {
 
     /// The cells with viewpoints, by their places in [`CellGrid::each`].
     pub(super) fn active(&self) -> Vec<usize> {
-        (0..self.cells.len()).filter(|c| self.is_reached(*c)).collect()
+        (0..self.cells.len())
+            .filter(|c| self.is_reached(*c))
+            .collect()
     }
 
     /// The row of a triangle.
     #[inline]
     pub(super) fn row(&self, triangle: u32) -> u32 {
-        if self.rows.is_empty() { triangle } else { self.rows[triangle as usize] }
+        if self.rows.is_empty() {
+            triangle
+        } else {
+            self.rows[triangle as usize]
+        }
     }
 
     /// Publishes all credits since the last barrier.
@@ -346,7 +370,9 @@ impl<'a> Block<'a> {
     /// Takes out of the crossed cells those without viewpoints.
     pub(super) fn only_reached(&self, crossed: &mut Crossed) {
         if !self.reached.is_empty() {
-            crossed.iter_mut().for_each(|(word, bits)| *bits &= self.reached[*word as usize]);
+            crossed
+                .iter_mut()
+                .for_each(|(word, bits)| *bits &= self.reached[*word as usize]);
         }
     }
 
@@ -399,7 +425,9 @@ impl<'a> Block<'a> {
                 self.join((origin, direction), (from, to), crossed, joined);
             }
             self.only_reached(crossed);
-            ends.into_iter().filter(|t| *t != SKY).for_each(|t| self.credit(t, crossed));
+            ends.into_iter()
+                .filter(|t| *t != SKY)
+                .for_each(|t| self.credit(t, crossed));
             passed.each_on_both(halves, lane, |t| self.credit(t, crossed));
         }
         ends
@@ -439,16 +467,30 @@ impl<'a> Block<'a> {
         let (from, to) = ahead.free(behind, lane, self.step);
         let far = self.tools.sight.far() / ahead.length(lane);
         let half = ahead.advance(lane, self.step);
-        let on = [(ahead.triangle[lane], to, true), (behind.triangle[lane], from, false)].into_iter();
+        let on = [
+            (ahead.triangle[lane], to, true),
+            (behind.triangle[lane], from, false),
+        ]
+        .into_iter();
         let on = on.chain(passed.on_at(halves[0], lane).map(|(t, d)| (t, d, true)));
-        let on = on.chain(passed.on_at(halves[1], lane).map(|(t, d)| (t, half - d, false)));
+        let on = on.chain(
+            passed
+                .on_at(halves[1], lane)
+                .map(|(t, d)| (t, half - d, false)),
+        );
         for (triangle, at, is_ahead) in on.filter(|(t, ..)| *t != SKY) {
             let (least, most) = match (self.tools.sight.is_one_way(), is_ahead) {
                 (false, _) => (from, to),
                 (true, true) => (from.max(0.0), at),
                 (true, false) => (at, to.min(0.0)),
             };
-            self.grid.walk(origin, direction, least.max(at - far), most.min(at + far), crossed);
+            self.grid.walk(
+                origin,
+                direction,
+                least.max(at - far),
+                most.min(at + far),
+                crossed,
+            );
             self.only_reached(crossed);
             self.credit(triangle, crossed);
         }
@@ -457,7 +499,9 @@ impl<'a> Block<'a> {
     /// Joins the cells that each half of a line crosses by itself.
     #[cold]
     fn join_halves(&self, [ahead, behind]: [&Packet; 2], lane: usize, joined: &mut Crossed) {
-        let Some(pairs) = self.tools.pairs else { return };
+        let Some(pairs) = self.tools.pairs else {
+            return;
+        };
         let (from, to) = ahead.free(behind, lane, self.step);
         let far = self.tools.sight.far() / ahead.length(lane);
         for (from, to) in [(from.max(-far), to.min(0.0)), (from.max(0.0), to.min(far))] {
@@ -474,7 +518,11 @@ impl<'a> Block<'a> {
 
     /// One line in so many joins the cells of the division: of uniform lines, of others.
     pub(super) fn joined_lines(&self) -> [u32; 2] {
-        [if self.is_whole { JOINED_LANES } else { LANES }, JOINED_AIMED_LANES].map(|lanes| lanes as u32)
+        [
+            if self.is_whole { JOINED_LANES } else { LANES },
+            JOINED_AIMED_LANES,
+        ]
+        .map(|lanes| lanes as u32)
     }
 
     /// Whether the time is up.
@@ -484,7 +532,11 @@ impl<'a> Block<'a> {
 
     /// Lends a thread's scratch memory.
     pub(super) fn with_scratch<R>(&self, f: impl FnOnce(&mut Scratch) -> R) -> R {
-        let taken = self.scratch.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let taken = self
+            .scratch
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .pop();
         let mut scratch = taken.unwrap_or_else(|| Scratch {
             met: vec![0; self.tools.rows.count()],
             met_items: vec![0; self.tools.rows.members().len()],
@@ -497,7 +549,10 @@ impl<'a> Block<'a> {
             tally: Tally::default(),
         });
         let result = f(&mut scratch);
-        self.scratch.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+        self.scratch
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(scratch);
         result
     }
 }

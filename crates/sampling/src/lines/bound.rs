@@ -108,12 +108,19 @@ impl Block<'_> {
             }
             let of = |c: &usize| {
                 let look = self.stats[*c].bound_cell_look + 1;
-                (*c, (look, ((LINES + f64::from(look - 1)) / most).ceil() as u64))
+                (
+                    *c,
+                    (look, ((LINES + f64::from(look - 1)) / most).ceil() as u64),
+                )
             };
             let work: Vec<(usize, (u32, u64))> = open.iter().map(of).collect();
-            self.each(&work, |block, s, (cell, (look, lines))| block.join_more(s, *cell, *look, *lines))?;
+            self.each(&work, |block, s, (cell, (look, lines))| {
+                block.join_more(s, *cell, *look, *lines)
+            })?;
             self.held = self.tools.pairs.map_or_else(Vec::new, Pairs::copy);
-            self.each(&work, |block, s, (cell, (look, lines))| block.check_cells(s, *cell, *look, *lines))?;
+            self.each(&work, |block, s, (cell, (look, lines))| {
+                block.check_cells(s, *cell, *look, *lines)
+            })?;
         }
         for cell in self.active() {
             self.stats[cell].unfinished |= self.stats[cell].cell_bound().is_none_or(|b| b > most);
@@ -129,9 +136,14 @@ impl Block<'_> {
         look: u32,
         lines: u64,
     ) -> Result<CellStats, BackendError> {
-        let Some((pairs, _)) = self.pairs_of(&self.cells[cell]) else { return Ok(CellStats::default()) };
+        let Some((pairs, _)) = self.pairs_of(&self.cells[cell]) else {
+            return Ok(CellStats::default());
+        };
         self.cast(s, cell, (look, JOIN_MORE), lines, |_, s, packet, lane| {
-            let (line, end) = (s.packets[packet].ray(lane), s.packets[packet].distance[lane]);
+            let (line, end) = (
+                s.packets[packet].ray(lane),
+                s.packets[packet].distance[lane],
+            );
             pairs.join_line(line, 0.0, end, &mut s.joined);
         })?;
         Ok(CellStats::default())
@@ -146,16 +158,24 @@ impl Block<'_> {
         lines: u64,
     ) -> Result<CellStats, BackendError> {
         let mut stats = CellStats::default();
-        let Some((pairs, slot)) = self.pairs_of(&self.cells[cell]) else { return Ok(stats) };
+        let Some((pairs, slot)) = self.pairs_of(&self.cells[cell]) else {
+            return Ok(stats);
+        };
         let cast = self.cast(s, cell, (look, CHECK_CELLS), lines, |_, s, packet, lane| {
-            let (line, end) = (s.packets[packet].ray(lane), s.packets[packet].distance[lane]);
+            let (line, end) = (
+                s.packets[packet].ray(lane),
+                s.packets[packet].distance[lane],
+            );
             pairs.join_line(line, 0.0, end, &mut s.joined);
             stats.bound_cell_misses += u64::from(pairs.is_new(&self.held, slot, &s.joined));
         })?;
         stats.rays[LineKind::Check as usize] = cast;
         if cast < lines {
             // An incomplete test gives no bound.
-            return Ok(CellStats { rays: stats.rays, ..CellStats::default() });
+            return Ok(CellStats {
+                rays: stats.rays,
+                ..CellStats::default()
+            });
         }
         (stats.bound_cell_lines, stats.bound_cell_look) = (lines, look);
         Ok(stats)
@@ -177,7 +197,9 @@ impl Block<'_> {
         if self.is_on_device() {
             self.check_on_device(&work, look)?;
         } else {
-            self.each(&work, |block, s, (cell, lines)| block.check(s, *cell, *lines, look))?;
+            self.each(&work, |block, s, (cell, lines)| {
+                block.check(s, *cell, *lines, look)
+            })?;
         }
         self.publish();
         Ok(())
@@ -185,7 +207,13 @@ impl Block<'_> {
 
     /// Casts `lines` held-out lines from `cell`; counts those that meet a triangle outside its set, and those
     /// that cross a cell which is no pair with it.
-    fn check(&self, s: &mut Scratch, cell: usize, lines: u64, look: u32) -> Result<CellStats, BackendError> {
+    fn check(
+        &self,
+        s: &mut Scratch,
+        cell: usize,
+        lines: u64,
+        look: u32,
+    ) -> Result<CellStats, BackendError> {
         let c = self.cells[cell];
         let (mut misses, mut cell_misses) = (0, 0);
         let pairs = self.pairs_of(&c);
@@ -197,13 +225,19 @@ impl Block<'_> {
             }
             let end = (packet.triangle[lane], packet.distance[lane]);
             let shown = std::iter::once(end).chain(s.passed.on_at(k, lane));
-            let mut new = shown.filter(|(t, _)| *t != SKY && !block.shown(*t, c.slot)).peekable();
+            let mut new = shown
+                .filter(|(t, _)| *t != SKY && !block.shown(*t, c.slot))
+                .peekable();
             if new.peek().is_some() {
                 misses += 1;
                 let (origin, direction) = packet.ray(lane);
                 for (triangle, at) in new {
                     // A triangle of one side is not seen from beyond it.
-                    let to = if block.tools.sight.is_one_way() { at } else { end.1 };
+                    let to = if block.tools.sight.is_one_way() {
+                        at
+                    } else {
+                        end.1
+                    };
                     block.grid.walk(origin, direction, 0.0, to, &mut s.crossed);
                     block.only_reached(&mut s.crossed);
                     block.credit(triangle, &s.crossed);
@@ -219,8 +253,11 @@ impl Block<'_> {
         stats.finds[LineKind::Check as usize] = misses;
         (stats.bound_lines, stats.bound_misses, stats.bound_look) = (lines, misses, look);
         if pairs.is_some() {
-            (stats.bound_cell_lines, stats.bound_cell_misses, stats.bound_cell_look) =
-                (lines, cell_misses, look);
+            (
+                stats.bound_cell_lines,
+                stats.bound_cell_misses,
+                stats.bound_cell_look,
+            ) = (lines, cell_misses, look);
         }
         Ok(stats)
     }
@@ -250,7 +287,8 @@ impl Block<'_> {
                     let [forward, right, up] = face_basis(face);
                     let d = forward + right * (2.0 * u - 1.0) + up * (2.0 * v - 1.0);
                     let o = c.random_origin(self.tools.places, &mut random);
-                    let key = (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
+                    let key =
+                        (face * side + (v * side as f32) as u32) * side + (u * side as f32) as u32;
                     (key, [o[0], o[1], o[2], d.x, d.y, d.z])
                 })
                 .collect();
@@ -263,7 +301,9 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
+            self.tools
+                .sight
+                .trace_each(&mut s.packets, &mut s.passed, self.step)?;
             for k in 0..s.packets.len() {
                 for lane in 0..s.packets[k].count {
                     each(self, s, k, lane);

@@ -159,7 +159,9 @@ impl Block<'_> {
             lists[i as usize].push(candidate);
         }
         if !self.tools.rows.of_triangles().is_empty() {
-            lists.par_iter_mut().for_each(|list| self.largest_of_each(list));
+            lists
+                .par_iter_mut()
+                .for_each(|list| self.largest_of_each(list));
         }
         lists
     }
@@ -170,7 +172,9 @@ impl Block<'_> {
         let of = |i: &u32| &list[*i as usize];
         order.sort_by(|a, b| {
             let (a, b) = (of(a), of(b));
-            self.row(a.triangle).cmp(&self.row(b.triangle)).then(b.part.total_cmp(&a.part))
+            self.row(a.triangle)
+                .cmp(&self.row(b.triangle))
+                .then(b.part.total_cmp(&a.part))
         });
         let mut kept: Vec<u32> = Vec::new();
         for item in order.chunk_by(|a, b| self.row(of(a).triangle) == self.row(of(b).triangle)) {
@@ -195,13 +199,23 @@ impl Block<'_> {
         let rays = self.stats[cell].rays[LineKind::Candidate as usize];
         let number = self.cells[cell].number;
         let random = Hashed::new(&[self.tools.seed, number, u64::from(round), rays, AIM]);
-        let mut aiming =
-            Aiming { cell, round, random, stats: CellStats::default(), flooding: Duration::ZERO };
+        let mut aiming = Aiming {
+            cell,
+            round,
+            random,
+            stats: CellStats::default(),
+            flooding: Duration::ZERO,
+        };
         self.aim_at_all(s, &mut aiming, list)?;
-        let Aiming { stats, flooding, .. } = aiming;
+        let Aiming {
+            stats, flooding, ..
+        } = aiming;
         if let Some((ledger, start)) = start {
             let all = start.elapsed();
-            for (kind, time) in [(LineKind::Candidate, all - flooding), (LineKind::Flood, flooding)] {
+            for (kind, time) in [
+                (LineKind::Candidate, all - flooding),
+                (LineKind::Flood, flooding),
+            ] {
                 let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
                 ledger.spent(round, kind, rays, finds, time);
             }
@@ -257,7 +271,13 @@ impl Block<'_> {
         some: &[Candidate],
         time: u32,
     ) -> Result<(), BackendError> {
-        let Aiming { cell, round, random, stats, flooding } = aiming;
+        let Aiming {
+            cell,
+            round,
+            random,
+            stats,
+            flooding,
+        } = aiming;
         let (cell, round) = (*cell, *round);
         let c = self.cells[cell];
         let uniform = self.stats[cell].rays[LineKind::Uniform as usize];
@@ -274,8 +294,20 @@ impl Block<'_> {
             s.packets.push(behind);
         }
         // The directions to sixteen nearby candidates still differ too much for a packet.
-        self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
-        let Scratch { packets, passed, crossed, joined, met, met_items, tag, tally, .. } = &mut *s;
+        self.tools
+            .sight
+            .trace_each(&mut s.packets, &mut s.passed, self.step)?;
+        let Scratch {
+            packets,
+            passed,
+            crossed,
+            joined,
+            met,
+            met_items,
+            tag,
+            tally,
+            ..
+        } = &mut *s;
         let mut finds = Vec::new();
         for (pair, group) in some.chunks(LANES).enumerate() {
             let halves = [2 * pair, 2 * pair + 1];
@@ -284,13 +316,16 @@ impl Block<'_> {
             stats.rays[LineKind::Candidate as usize] += 2 * ahead.count as u64;
             for (lane, candidate) in group.iter().enumerate() {
                 let found = ahead.triangle[lane] == candidate.triangle
-                    || !passed.is_empty() && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
-                self.yields.count(tally, (candidate.part, time), uniform, found);
+                    || !passed.is_empty()
+                        && passed.on(halves[0], lane).any(|t| t == candidate.triangle);
+                self.yields
+                    .count(tally, (candidate.part, time), uniform, found);
                 if let Some(ledger) = self.tools.ledger.filter(|ledger| ledger.wants_tries()) {
                     ledger.tried(round, self.account(cell, candidate, time, found));
                 }
                 let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                let ends =
+                    self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
                 let mut meet = |triangle| {
                     if triangle == SKY {
                         return;
@@ -301,7 +336,11 @@ impl Block<'_> {
                     }
                     if !self.bits.seen(row, c.slot) && met[row as usize] != *tag {
                         met[row as usize] = *tag;
-                        finds.push(Find { packet: pair as u32, origin, triangle });
+                        finds.push(Find {
+                            packet: pair as u32,
+                            origin,
+                            triangle,
+                        });
                     }
                 };
                 ends.into_iter().for_each(&mut meet);
@@ -319,17 +358,34 @@ impl Block<'_> {
     fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Try {
         let Candidate { triangle, part } = *candidate;
         let of = &self.cells[cell];
-        let faces = (0..6).filter(|face| self.beyond(of.at, *face).is_some_and(|s| self.seen(triangle, s)));
+        let faces = (0..6).filter(|face| {
+            self.beyond(of.at, *face)
+                .is_some_and(|s| self.seen(triangle, s))
+        });
         let neighbours = self.tools.surface.neighbours[triangle as usize];
-        let beside = neighbours.iter().filter(|t| **t != SKY && self.seen(**t, of.slot));
+        let beside = neighbours
+            .iter()
+            .filter(|t| **t != SKY && self.seen(**t, of.slot));
         let (faces, beside) = (faces.count() as u32, beside.count() as u32);
-        Try { cell, triangle, part, time, faces, beside, found }
+        Try {
+            cell,
+            triangle,
+            part,
+            time,
+            faces,
+            beside,
+            found,
+        }
     }
 
     /// The cell beyond a face: along axis `face / 2`, upwards where `face` is even.
     fn beyond(&self, at: [u32; 3], face: usize) -> Option<Slot> {
         let mut next = at;
-        next[face / 2] = if face.is_multiple_of(2) { at[face / 2] + 1 } else { at[face / 2].wrapping_sub(1) };
+        next[face / 2] = if face.is_multiple_of(2) {
+            at[face / 2] + 1
+        } else {
+            at[face / 2].wrapping_sub(1)
+        };
         self.grid.has(next).then(|| self.grid.slot(next))
     }
 

@@ -188,7 +188,12 @@ pub trait Rounds: Send + Sync {
     ///
     /// # Errors
     /// As [`Rounds::restart`].
-    fn aim(&self, work: &[AimWork], plan: &AimPlan, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+    fn aim(
+        &self,
+        work: &[AimWork],
+        plan: &AimPlan,
+        goes_on: GoesOn<'_>,
+    ) -> Result<Found, BackendError>;
 
     /// The seeds of the whole scene.
     ///
@@ -201,7 +206,12 @@ pub trait Rounds: Send + Sync {
     ///
     /// # Errors
     /// As [`Rounds::restart`].
-    fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError>;
+    fn check(
+        &self,
+        work: &[(usize, u64)],
+        look: u32,
+        goes_on: GoesOn<'_>,
+    ) -> Result<Found, BackendError>;
 
     /// Segments from some cells of the division, which join the cells that they cross. Counts of an item:
     /// segments, those that reach their end, later cells at which they could be cast.

@@ -60,7 +60,9 @@ impl Block<'_> {
     {
         let cells: Vec<usize> = work.iter().map(Piece::cell).collect();
         let cost = |item: usize| work[item].cost();
-        self.each_prepared(&cells, &|_| {}, &cost, &|block, scratch, item| f(block, scratch, &work[item]))
+        self.each_prepared(&cells, &|_| {}, &cost, &|block, scratch, item| {
+            f(block, scratch, &work[item])
+        })
     }
 
     /// As [`Self::each`], for one piece of work on each of `cells`. `prepare` makes what `f` needs.
@@ -120,13 +122,19 @@ impl Block<'_> {
                 (s.bound_lines, s.bound_misses, s.bound_look);
         }
         if s.bound_cell_lines > 0 {
-            (all.bound_cell_lines, all.bound_cell_misses, all.bound_cell_look) =
-                (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
+            (
+                all.bound_cell_lines,
+                all.bound_cell_misses,
+                all.bound_cell_look,
+            ) = (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look);
         }
     }
 
     /// The tables that lines write to.
     pub(super) fn tables(&self) -> Tables<'_> {
-        Tables { bits: Some(&self.bits), pairs: self.tools.pairs }
+        Tables {
+            bits: Some(&self.bits),
+            pairs: self.tools.pairs,
+        }
     }
 }

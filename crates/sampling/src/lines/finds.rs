@@ -72,7 +72,11 @@ impl Answer for (u64, f64) {
 /// The statistics of a cell, and what aiming at its candidates yielded.
 impl Answer for (CellStats, Tally) {
     fn write(&self, out: &mut Vec<u8>) {
-        self.0.numbers().into_iter().chain(self.1.numbers()).for_each(|n| varint::write(out, n));
+        self.0
+            .numbers()
+            .into_iter()
+            .chain(self.1.numbers())
+            .for_each(|n| varint::write(out, n));
     }
 
     fn read(bytes: &mut &[u8]) -> Option<Self> {
@@ -178,7 +182,9 @@ pub(super) fn decode<A: Answer>(
     let count = count(&mut rest, 2)?;
     let (mut answers, mut next) = (Vec::with_capacity(count.min(items)), 0u64);
     for _ in 0..count {
-        let item = number(&mut rest).and_then(|gap| next.checked_add(gap)).filter(|i| *i < items as u64);
+        let item = number(&mut rest)
+            .and_then(|gap| next.checked_add(gap))
+            .filter(|i| *i < items as u64);
         let item = item.ok_or(ForeignFinds("an item is out of range"))?;
         let answer = A::read(&mut rest).ok_or(ForeignFinds("an answer is malformed"))?;
         answers.push((item as usize, answer));
@@ -187,14 +193,20 @@ pub(super) fn decode<A: Answer>(
     let seen = words(&mut rest, bits.map_or(0, SeenBits::places))?;
     let joined = words(&mut rest, pairs.map_or(0, Pairs::places))?;
     match rest {
-        [] => Ok(Finds { answers, seen, joined }),
+        [] => Ok(Finds {
+            answers,
+            seen,
+            joined,
+        }),
         _ => Err(ForeignFinds("there is more than they announce")),
     }
 }
 
 /// A count of things that take at least `least` bytes each.
 fn count(rest: &mut &[u8], least: usize) -> Result<usize, ForeignFinds> {
-    let count = number(rest).and_then(|n| usize::try_from(n).ok()).filter(|n| *n <= rest.len() / least);
+    let count = number(rest)
+        .and_then(|n| usize::try_from(n).ok())
+        .filter(|n| *n <= rest.len() / least);
     count.ok_or(ForeignFinds("they announce more than there is"))
 }
 
@@ -203,9 +215,14 @@ fn words(rest: &mut &[u8], places: usize) -> Result<Vec<(usize, u64)>, ForeignFi
     let count = count(rest, 9)?;
     let (mut words, mut next) = (Vec::with_capacity(count), 0u64);
     for _ in 0..count {
-        let at = number(rest).and_then(|gap| next.checked_add(gap)).filter(|at| *at < places as u64);
+        let at = number(rest)
+            .and_then(|gap| next.checked_add(gap))
+            .filter(|at| *at < places as u64);
         let at = at.ok_or(ForeignFinds("a bit is out of range"))?;
-        words.push((at as usize, word(rest).ok_or(ForeignFinds("they are cut short"))?));
+        words.push((
+            at as usize,
+            word(rest).ok_or(ForeignFinds("they are cut short"))?,
+        ));
         next = at + 1;
     }
     Ok(words)

@@ -54,12 +54,20 @@ impl Block<'_> {
                     }
                     s.met[row as usize] = s.tag;
                     let eye = find.origin;
-                    let full = aimed.last().is_none_or(|a| a.eye != find.packet || a.packet.count == LANES);
+                    let full = aimed
+                        .last()
+                        .is_none_or(|a| a.eye != find.packet || a.packet.count == LANES);
                     if full {
                         let packet = Packet::default();
-                        aimed.push(Aimed { packet, eye: find.packet, targets: [SKY; LANES] });
+                        aimed.push(Aimed {
+                            packet,
+                            eye: find.packet,
+                            targets: [SKY; LANES],
+                        });
                     }
-                    let Some(last) = aimed.last_mut() else { continue };
+                    let Some(last) = aimed.last_mut() else {
+                        continue;
+                    };
                     last.targets[last.packet.count] = next;
                     let to = point_on(self.tools.scene, next, random);
                     last.packet.push(eye, [0, 1, 2].map(|a| to[a] - eye[a]));
@@ -70,10 +78,21 @@ impl Block<'_> {
             }
             s.behind.clear();
             s.behind.extend(aimed.iter().map(|a| a.packet.clone()));
-            s.behind.extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
-            self.tools.sight.trace_each(&mut s.behind, &mut s.passed, self.step)?;
+            s.behind
+                .extend(aimed.iter().map(|a| a.packet.reversed(self.step)));
+            self.tools
+                .sight
+                .trace_each(&mut s.behind, &mut s.passed, self.step)?;
             finds.clear();
-            let Scratch { behind: traced, passed, crossed, joined, met, tag, .. } = &mut *s;
+            let Scratch {
+                behind: traced,
+                passed,
+                crossed,
+                joined,
+                met,
+                tag,
+                ..
+            } = &mut *s;
             for (k, a) in aimed.iter().enumerate() {
                 let ahead = &traced[k];
                 stats.rays[LineKind::Flood as usize] += 2 * ahead.count as u64;
@@ -86,15 +105,28 @@ impl Block<'_> {
                     }
                     let origin = ahead.ray(lane).0;
                     let joins = lane.is_multiple_of(JOINED_AIMED_LANES);
-                    self.credit_line(traced, passed, [k, k + aimed.len()], lane, (crossed, joined), joins);
+                    self.credit_line(
+                        traced,
+                        passed,
+                        [k, k + aimed.len()],
+                        lane,
+                        (crossed, joined),
+                        joins,
+                    );
                     let mut meet = |hit| {
                         if hit == SKY {
                             return;
                         }
                         let row = self.row(hit);
-                        if !self.bits.seen(row, slot) && (hit == target || met[row as usize] != *tag) {
+                        if !self.bits.seen(row, slot)
+                            && (hit == target || met[row as usize] != *tag)
+                        {
                             met[row as usize] = *tag;
-                            finds.push(Find { packet: a.eye, origin, triangle: hit });
+                            finds.push(Find {
+                                packet: a.eye,
+                                origin,
+                                triangle: hit,
+                            });
                         }
                     };
                     meet(end);

@@ -72,18 +72,33 @@ impl CellGrid {
         let margin = MARGIN.max(largest * f32::EPSILON * ROUNDING * finest);
         let side = brick(cells);
         let bricks = [0, 1, 2].map(|a| cells[a].div_ceil(1 << side[a]));
-        let coordinate = |bit: u32, a: usize| bit >> side[..a].iter().sum::<u32>() & ((1 << side[a]) - 1);
-        let first =
-            [0, 1, 2].map(|a| (0..64).filter(|bit| coordinate(*bit, a) == 0).fold(0, |m, b| m | 1 << b));
+        let coordinate =
+            |bit: u32, a: usize| bit >> side[..a].iter().sum::<u32>() & ((1 << side[a]) - 1);
+        let first = [0, 1, 2].map(|a| {
+            (0..64)
+                .filter(|bit| coordinate(*bit, a) == 0)
+                .fold(0, |m, b| m | 1 << b)
+        });
         debug_assert!(
             bricks.iter().map(|b| u64::from(*b)).product::<u64>() <= 1 << 26,
             "bits are numbered in 32 bits"
         );
-        let mut grid =
-            Self { cells, side, bricks, first, part: Default::default(), min, max, per_unit, margin };
+        let mut grid = Self {
+            cells,
+            side,
+            bricks,
+            first,
+            part: Default::default(),
+            min,
+            max,
+            per_unit,
+            margin,
+        };
         grid.part = [0, 1, 2].map(|a| {
             let on_axis = |x: u32| std::array::from_fn(|b| if a == b { x } else { 0 });
-            (0..cells[a]).map(|x| grid.slot(on_axis(x)).index() as u32).collect()
+            (0..cells[a])
+                .map(|x| grid.slot(on_axis(x)).index() as u32)
+                .collect()
         });
         grid
     }
@@ -100,7 +115,12 @@ impl CellGrid {
 
     /// How its cells are numbered and scaled, for whoever walks through it elsewhere.
     pub fn shape(&self) -> Shape {
-        Shape { side: self.side, bricks: self.bricks, first: self.first, per_unit: self.per_unit }
+        Shape {
+            side: self.side,
+            bricks: self.bricks,
+            first: self.first,
+            per_unit: self.per_unit,
+        }
     }
 
     /// Number of cells.
@@ -156,7 +176,14 @@ impl CellGrid {
     /// The cells crossed by the part of the line through `origin` along `direction` between the distances
     /// `t0` and `t1` (Amanatides and Woo 1987), in order. Distances are in lengths of `direction` and may be
     /// infinite.
-    pub fn walk(&self, origin: [f32; 3], direction: [f32; 3], mut t0: f32, mut t1: f32, out: &mut Crossed) {
+    pub fn walk(
+        &self,
+        origin: [f32; 3],
+        direction: [f32; 3],
+        mut t0: f32,
+        mut t1: f32,
+        out: &mut Crossed,
+    ) {
         out.clear();
         let (mut start, mut d, mut inverse) = ([0.0f32; 3], [0.0f32; 3], [0.0f32; 3]);
         for a in 0..3 {
@@ -198,9 +225,11 @@ impl CellGrid {
         let ([mut cx, mut cy, mut cz], [sx, sy, sz]) = (cell, step);
         let [px, py, pz] = &self.part;
         let (mut t, mut word, mut bits) = (t0, u32::MAX, 0u64);
-        while let (Some(x), Some(y), Some(z)) =
-            (px.get(cx as u32 as usize), py.get(cy as u32 as usize), pz.get(cz as u32 as usize))
-        {
+        while let (Some(x), Some(y), Some(z)) = (
+            px.get(cx as u32 as usize),
+            py.get(cy as u32 as usize),
+            pz.get(cz as u32 as usize),
+        ) {
             let first = if nx < ny { nx } else { ny };
             let is_z = first >= nz;
             let is_x = !is_z & (nx < ny);
@@ -268,10 +297,14 @@ impl CellGrid {
 /// differ least.
 fn brick(cells: [u32; 3]) -> [u32; 3] {
     let all = (0..=BITS).flat_map(|x| (0..=BITS - x).map(move |y| [x, y, BITS - x - y]));
-    let words =
-        |side: &[u32; 3]| -> u64 { (0..3).map(|a| u64::from(cells[a].div_ceil(1 << side[a]))).product() };
+    let words = |side: &[u32; 3]| -> u64 {
+        (0..3)
+            .map(|a| u64::from(cells[a].div_ceil(1 << side[a])))
+            .product()
+    };
     let uneven = |side: &[u32; 3]| side.iter().map(|s| s * s).sum::<u32>();
-    all.min_by_key(|side| (words(side), uneven(side), *side)).unwrap_or([2; 3])
+    all.min_by_key(|side| (words(side), uneven(side), *side))
+        .unwrap_or([2; 3])
 }
 
 #[cfg(test)]
@@ -285,7 +318,16 @@ mod tests {
 
     #[test]
     fn dilation_reaches_the_six_neighbours_and_no_other_cell() {
-        for g in [[9, 5, 6], [20, 1, 7], [1, 1, 70], [1, 65, 2], [3, 2, 1], [16, 9, 2]].map(grid) {
+        for g in [
+            [9, 5, 6],
+            [20, 1, 7],
+            [1, 1, 70],
+            [1, 65, 2],
+            [3, 2, 1],
+            [16, 9, 2],
+        ]
+        .map(grid)
+        {
             for c in g.each() {
                 let mut row = vec![0; g.words()];
                 let slot = g.slot(c);
@@ -294,7 +336,11 @@ mod tests {
                 for d in g.each() {
                     let apart: u32 = (0..3).map(|a| c[a].abs_diff(d[a])).sum();
                     let s = g.slot(d);
-                    assert_eq!(near[s.word as usize] >> s.bit & 1 == 1, apart <= 1, "{c:?} {d:?}");
+                    assert_eq!(
+                        near[s.word as usize] >> s.bit & 1 == 1,
+                        apart <= 1,
+                        "{c:?} {d:?}"
+                    );
                 }
             }
         }
@@ -302,12 +348,17 @@ mod tests {
 
     #[test]
     fn bricks_are_as_flat_as_the_block() {
-        for (cells, words) in
-            [([8, 8, 8], 8), ([20, 1, 20], 9), ([4, 4, 4], 1), ([64, 1, 1], 1), ([1, 1, 512], 8)]
-        {
+        for (cells, words) in [
+            ([8, 8, 8], 8),
+            ([20, 1, 20], 9),
+            ([4, 4, 4], 1),
+            ([64, 1, 1], 1),
+            ([1, 1, 512], 8),
+        ] {
             let g = grid(cells);
             assert_eq!(g.words(), words, "{cells:?} in bricks of {:?}", g.side);
-            let slots: std::collections::BTreeSet<usize> = g.each().map(|c| g.slot(c).index()).collect();
+            let slots: std::collections::BTreeSet<usize> =
+                g.each().map(|c| g.slot(c).index()).collect();
             assert_eq!(slots.len(), g.count());
         }
     }
@@ -330,8 +381,9 @@ mod tests {
             (t0, t1) = (t0.max(u.min(v)), t1.min(u.max(v)));
         }
         let least = g.margin / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-        let mut cell: [i32; 3] =
-            std::array::from_fn(|a| ((start[a] + d[a] * t0) as i32).clamp(0, g.cells[a] as i32 - 1));
+        let mut cell: [i32; 3] = std::array::from_fn(|a| {
+            ((start[a] + d[a] * t0) as i32).clamp(0, g.cells[a] as i32 - 1)
+        });
         let mut next: [f32; 3] = std::array::from_fn(|a| match d[a] {
             0.0 => f32::INFINITY,
             d => ((cell[a] + i32::from(d > 0.0)) as f32 - start[a]) * (1.0 / d),

@@ -30,7 +30,9 @@ impl Block<'_> {
     /// As [`Block::sample`].
     pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
         let work: Vec<(usize, u64)> = self.active().into_iter().map(|c| (c, rays)).collect();
-        self.each(&work, |block, s, (cell, rays)| block.guided(s, *cell, *rays))?;
+        self.each(&work, |block, s, (cell, rays)| {
+            block.guided(s, *cell, *rays)
+        })?;
         for cell in self.active() {
             let stats = &mut self.stats[cell];
             stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
@@ -79,7 +81,8 @@ impl Block<'_> {
                     }
                     let direction = match target {
                         Some(t) => {
-                            Vec3::from(point_on(self.tools.scene, t, &mut random)) - Vec3::from(origin)
+                            Vec3::from(point_on(self.tools.scene, t, &mut random))
+                                - Vec3::from(origin)
                         }
                         None => on_sphere(&mut random),
                     };
@@ -87,7 +90,9 @@ impl Block<'_> {
                 }
                 s.packets.push(packet);
             }
-            self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
+            self.tools
+                .sight
+                .trace_each(&mut s.packets, &mut s.passed, self.step)?;
             cast += batch;
             for (k, packet) in s.packets.iter().enumerate() {
                 let ends = (0..packet.count)

@@ -40,8 +40,10 @@ pub fn count(
     let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
     let rows = job.rows();
     let classes = job.scene.for_cubes(false).duplicates;
-    let twins: BTreeMap<u32, &[u32]> =
-        classes.iter().flat_map(|c| c.iter().map(|t| (*t, c.as_slice()))).collect();
+    let twins: BTreeMap<u32, &[u32]> = classes
+        .iter()
+        .flat_map(|c| c.iter().map(|t| (*t, c.as_slice())))
+        .collect();
     let units = job.lattice.units();
     let whole = units.map(|u| u / UNITS_PER_CELL);
     let shown: Vec<Hits> = cells
@@ -54,13 +56,32 @@ pub fn count(
             }
             let [x, y, z] = at.lo.map(|u| u / UNITS_PER_CELL);
             let number = u64::from((z * whole[1] + y) * whole[0] + x);
-            let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.of(number as usize));
+            let parts = job
+                .viewpoints
+                .map_or(u64::MAX, |marks| marks.of(number as usize));
             let (lo, hi) = at.world(&job.lattice);
-            let random = Hashed::new(&[job.seed, at.lo.map(u64::from).into_iter().fold(0, mixed), HITS]);
-            let cell = Cell { at: [0; 3], slot: Slot { word: 0, bit: 0 }, lo, size: hi - lo, number, parts };
+            let random = Hashed::new(&[
+                job.seed,
+                at.lo.map(u64::from).into_iter().fold(0, mixed),
+                HITS,
+            ]);
+            let cell = Cell {
+                at: [0; 3],
+                slot: Slot { word: 0, bit: 0 },
+                lo,
+                size: hi - lo,
+                number,
+                parts,
+            };
             let step = (hi - lo).max_element() * LEAST_STEP;
             let (places, visible) = (job.places, set.visible.as_slice());
-            let mut counter = Counter { rows, twins: &twins, places, visible, counts: Vec::new() };
+            let mut counter = Counter {
+                rows,
+                twins: &twins,
+                places,
+                visible,
+                counts: Vec::new(),
+            };
             counter.from(&cell, &sight, step, random)
         })
         .collect::<Result<_, TileError>>()?;
@@ -101,7 +122,11 @@ impl Counter<'_> {
         let pixel = 2.0 / (4 * TILES) as f32;
         let (mut packets, mut passed) = (Vec::new(), Passed::default());
         // A cell without viewpoints has no visible items.
-        let viewpoints = if self.visible.is_empty() { 0 } else { VIEWPOINTS };
+        let viewpoints = if self.visible.is_empty() {
+            0
+        } else {
+            VIEWPOINTS
+        };
         for number in 0..viewpoints {
             let origin = cell.origin(self.places, spread3(number.into(), shift));
             packets.clear();
@@ -121,7 +146,8 @@ impl Counter<'_> {
                 for lane in 0..LANES {
                     let mut met: Vec<u32> = Vec::new();
                     let on = std::iter::once(packet.triangle[lane]).chain(passed.on(k, lane));
-                    on.filter(|t| *t != SKY).for_each(|t| self.items(t, &mut met));
+                    on.filter(|t| *t != SKY)
+                        .for_each(|t| self.items(t, &mut met));
                     // A line through several triangles of an item meets it once.
                     met.sort_unstable();
                     met.dedup();
@@ -138,8 +164,16 @@ impl Counter<'_> {
                 *here = 0;
             }
         }
-        let counts = self.counts.iter().map(|[all, _, most]| [*all, *most]).collect();
-        Ok(Hits { viewpoints: VIEWPOINTS, lines: 6 * TILES * TILES * LANES as u32, counts })
+        let counts = self
+            .counts
+            .iter()
+            .map(|[all, _, most]| [*all, *most])
+            .collect();
+        Ok(Hits {
+            viewpoints: VIEWPOINTS,
+            lines: 6 * TILES * TILES * LANES as u32,
+            counts,
+        })
     }
 
     /// Appends the items of a triangle and of its duplicates.

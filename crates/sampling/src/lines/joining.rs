@@ -74,13 +74,21 @@ pub fn search(
         .map(|(number, at)| {
             let (lo, size) = grid.cell_box(at);
             let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.of(number));
-            Cell { at, slot: grid.slot(at), lo, size, number: number as u64, parts }
+            Cell {
+                at,
+                slot: grid.slot(at),
+                lo,
+                size,
+                number: number as u64,
+                parts,
+            }
         })
         .collect();
     let (units, sides) = (job.lattice.units(), grid.cells());
     let inside = |cell: &&Cell| {
         (0..3).all(|a| {
-            let middle = (u64::from(cell.at[a]) * 2 + 1) * u64::from(units[a]) / (2 * u64::from(sides[a]));
+            let middle =
+                (u64::from(cell.at[a]) * 2 + 1) * u64::from(units[a]) / (2 * u64::from(sides[a]));
             (u64::from(within.lo[a])..u64::from(within.hi[a])).contains(&middle)
         })
     };
@@ -95,12 +103,26 @@ pub fn search(
         }
         let before = pairs.copy();
         let (places, seed, before) = (job.places, job.seed, &*before);
-        let segments = Segments { sight, pairs, before, cells: &cells, places, step, seed, round };
+        let segments = Segments {
+            sight,
+            pairs,
+            before,
+            cells: &cells,
+            places,
+            step,
+            seed,
+            round,
+        };
         let mut cast = |at: &Cast<'_>, at_any: bool| {
             if let Some(block) = block.as_deref_mut().filter(|block| block.is_on_device()) {
                 let most = if at_any { FREE_SEGMENTS } else { MOST_SEGMENTS } as u32;
                 let cells = &numbers;
-                let found = block.segments_on_device(&SegmentWork { cells, round, at_any, most })?;
+                let found = block.segments_on_device(&SegmentWork {
+                    cells,
+                    round,
+                    at_any,
+                    most,
+                })?;
                 rays += found.iter().map(|f| f.0).sum::<u64>();
                 return Ok(found.iter().map(|f| f.1).sum());
             }
@@ -108,13 +130,25 @@ pub fn search(
                 if watcher.cancelled() {
                     return Err(TileError::Cancelled);
                 }
-                let found = if job.is_late() { (0, 0.0) } else { at(&segments, own[item])? };
+                let found = if job.is_late() {
+                    (0, 0.0)
+                } else {
+                    at(&segments, own[item])?
+                };
                 watcher.rendered(found.0);
                 Ok(found)
             };
-            let items =
-                Items { count: own.len(), prepare: &|| {}, cost: &|_| 1, compute: &compute, fits: &|_| true };
-            let tables = Tables { bits: None, pairs: Some(pairs) };
+            let items = Items {
+                count: own.len(),
+                prepare: &|| {},
+                cost: &|_| 1,
+                compute: &compute,
+                fits: &|_| true,
+            };
+            let tables = Tables {
+                bits: None,
+                pairs: Some(pairs),
+            };
             let found: Vec<(u64, f64)> = phase::run(job.crew, tables, items)?;
             let count: u64 = found.iter().map(|f| f.0).sum();
             rays += count;
@@ -167,12 +201,21 @@ impl Segments<'_> {
         self.cast(cell, &self.open(cell), MOST_SEGMENTS, JOIN)
     }
 
-    fn cast(&self, cell: &Cell, at: &[&Cell], most: usize, stream: u64) -> Result<(u64, f64), TileError> {
+    fn cast(
+        &self,
+        cell: &Cell,
+        at: &[&Cell],
+        most: usize,
+        stream: u64,
+    ) -> Result<(u64, f64), TileError> {
         let mut random = Hashed::new(&[self.seed, cell.number, u64::from(self.round), stream]);
         // Evenly among them, beginning at a random one.
         let every = at.len().div_ceil(most).max(1);
         let first = (random.bits() % every as u64) as usize;
-        let times = LEAST_SEGMENTS.div_ceil(self.cells.len()).div_ceil(at.len().max(1)).min(most);
+        let times = LEAST_SEGMENTS
+            .div_ceil(self.cells.len())
+            .div_ceil(at.len().max(1))
+            .min(most);
         let drawn = at.iter().skip(first).step_by(every);
         let (mut packets, mut passed): (Vec<Packet>, _) = (Vec::new(), Passed::default());
         let mut count = 0u64;
@@ -194,12 +237,14 @@ impl Segments<'_> {
                 count += 1;
             }
         }
-        self.sight.trace_each(&mut packets, &mut passed, self.step)?;
+        self.sight
+            .trace_each(&mut packets, &mut passed, self.step)?;
         let (mut free, mut crossed) = (0u64, Crossed::new());
         for packet in &packets {
             for lane in 0..packet.count {
                 let end = packet.distance[lane];
-                self.pairs.join_line(packet.ray(lane), 0.0, end, &mut crossed);
+                self.pairs
+                    .join_line(packet.ray(lane), 0.0, end, &mut crossed);
                 // The direction is the segment.
                 free += u64::from(end >= 1.0);
             }
@@ -243,7 +288,11 @@ impl Segments<'_> {
 /// A random point of a cell: where viewpoints are, or anywhere in a cell without viewpoints.
 fn viewpoint(cell: &Cell, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
     match cell.parts {
-        0 => Cell { parts: u64::MAX, ..*cell }.point(random.point()),
+        0 => Cell {
+            parts: u64::MAX,
+            ..*cell
+        }
+        .point(random.point()),
         _ => cell.random_origin(places, random),
     }
 }

@@ -12,8 +12,8 @@ use sightline_model::{CellStats, LineKind};
 
 use super::block::{Block, Cell};
 use super::device::{
-    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, OnDevice, Rounds,
-    SegmentWork, Traffic, UniformWork,
+    AimPlan, AimWork, DeviceBlock, DeviceCell, DevicePairs, Found, GoesOn, KernelTime, OnDevice,
+    Rounds, SegmentWork, Traffic, UniformWork,
 };
 use super::finds::Answer;
 use super::pace::Pace;
@@ -48,7 +48,9 @@ impl Answer for Whole {
     fn read(bytes: &mut &[u8]) -> Option<Self> {
         let (rays, count) = (u64::read(bytes)?, u64::read(bytes)?);
         // Each number takes a byte at least.
-        let count = usize::try_from(count).ok().filter(|n| *n <= bytes.len() / CellStats::NAMES.len())?;
+        let count = usize::try_from(count)
+            .ok()
+            .filter(|n| *n <= bytes.len() / CellStats::NAMES.len())?;
         let mut stats = Vec::with_capacity(count);
         for _ in 0..count {
             let mut numbers = [0; CellStats::NAMES.len()];
@@ -61,7 +63,11 @@ impl Answer for Whole {
         for n in &mut tally {
             *n = u64::read(bytes)?;
         }
-        Some(Self { stats, tally: Tally::from_numbers(tally), rays })
+        Some(Self {
+            stats,
+            tally: Tally::from_numbers(tally),
+            rays,
+        })
     }
 
     fn rays(&self) -> u64 {
@@ -91,13 +97,16 @@ impl Block<'_> {
         let cells: Vec<DeviceCell> = self.cells.iter().map(|c| self.device_cell(c)).collect();
         let first = self.cells.first().map_or(0, |c| c.number);
         let division = tools.pairs.map(|pairs| self.division(pairs));
-        let pairs = tools.pairs.zip(division.as_ref()).map(|(pairs, (cells, slots))| DevicePairs {
-            grid: pairs.grid(),
-            cells,
-            reached: pairs.reached(),
-            slots,
-            joins: self.joined_lines(),
-        });
+        let pairs = tools
+            .pairs
+            .zip(division.as_ref())
+            .map(|(pairs, (cells, slots))| DevicePairs {
+                grid: pairs.grid(),
+                cells,
+                reached: pairs.reached(),
+                slots,
+                joins: self.joined_lines(),
+            });
         let block = DeviceBlock {
             scene: tools.scene,
             surface: tools.surface,
@@ -114,7 +123,10 @@ impl Block<'_> {
         };
         let sight = tools.sight;
         if let Some(rounds) = sight.rounds(&block)? {
-            self.device = OnDevice::Yes { rounds, stale: true };
+            self.device = OnDevice::Yes {
+                rounds,
+                stale: true,
+            };
             self.set_pace(Pace::DEVICE);
         }
         Ok(())
@@ -132,7 +144,14 @@ impl Block<'_> {
         let cells = grid.each().enumerate().map(|(number, at)| {
             let (low, size) = grid.cell_box(at);
             let key = Hashed::new(&[self.tools.seed, number as u64, KEYS, 2]).bits();
-            DeviceCell { low, size, at, slot: grid.slot(at), parts: pairs.parts(number), key }
+            DeviceCell {
+                low,
+                size,
+                at,
+                slot: grid.slot(at),
+                parts: pairs.parts(number),
+                key,
+            }
         });
         let slot = |c: &Cell| grid.slot(grid.cell_at(c.lo + c.size * 0.5)).index() as u32;
         (cells.collect(), self.cells.iter().map(slot).collect())
@@ -140,7 +159,14 @@ impl Block<'_> {
 
     fn device_cell(&self, c: &Cell) -> DeviceCell {
         let key = Hashed::new(&[self.tools.seed, c.number, KEYS]).bits();
-        DeviceCell { low: c.lo, size: c.size, at: c.at, slot: c.slot, parts: c.parts, key }
+        DeviceCell {
+            low: c.lo,
+            size: c.size,
+            at: c.at,
+            slot: c.slot,
+            parts: c.parts,
+            key,
+        }
     }
 
     /// What went between host and device; `None` where the host casts the rounds.
@@ -170,8 +196,11 @@ impl Block<'_> {
             return Ok(());
         }
         let base = |c: usize| self.stats[c].rays[LineKind::Uniform as usize] / (2 * LANES as u64);
-        let lines =
-            |(cell, tiles): &(usize, u32)| UniformWork { cell: *cell, tiles: *tiles, base: base(*cell) };
+        let lines = |(cell, tiles): &(usize, u32)| UniformWork {
+            cell: *cell,
+            tiles: *tiles,
+            base: base(*cell),
+        };
         let wanted: Vec<UniformWork> = work.iter().map(lines).collect();
         let answer = |found: &Found| {
             let counted = found.counts.iter().zip(work);
@@ -179,7 +208,11 @@ impl Block<'_> {
                 .map(|([misses, finds, flood, flood_finds], (_, tiles))| {
                     let last_rays = 2 * LANES as u64 * 3 * u64::from(*tiles) * u64::from(*tiles);
                     let last_misses = u64::from(*misses);
-                    let mut s = CellStats { last_rays, last_misses, ..CellStats::default() };
+                    let mut s = CellStats {
+                        last_rays,
+                        last_misses,
+                        ..CellStats::default()
+                    };
                     s.rays[LineKind::Uniform as usize] = s.last_rays;
                     s.finds[LineKind::Uniform as usize] = u64::from(*finds);
                     s.rays[LineKind::Flood as usize] = u64::from(*flood);
@@ -198,13 +231,22 @@ impl Block<'_> {
             return Ok(());
         }
         let rays = |c: usize| self.stats[c].rays[LineKind::Uniform as usize];
-        let lines = |(c, least): (&usize, &f64)| AimWork { cell: *c, least: *least, rays: rays(*c) };
+        let lines = |(c, least): (&usize, &f64)| AimWork {
+            cell: *c,
+            least: *least,
+            rays: rays(*c),
+        };
         let wanted: Vec<AimWork> = open.iter().zip(least).map(lines).collect();
         let [times, so_far] = self.yields.plan_for_device();
         // Counted over all searches, so that no two of them draw the same lines.
         let phase = self.aims;
         self.aims += 1;
-        let plan = AimPlan { phase, times, so_far, flood_steps: self.flood_steps };
+        let plan = AimPlan {
+            phase,
+            times,
+            so_far,
+            flood_steps: self.flood_steps,
+        };
         let answer = |found: &Found| {
             let of = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
                 let mut s = CellStats::default();
@@ -225,7 +267,11 @@ impl Block<'_> {
     }
 
     /// Test number `look`: so many held-out lines from each cell.
-    pub(super) fn check_on_device(&mut self, work: &[(usize, u64)], look: u32) -> Result<(), TileError> {
+    pub(super) fn check_on_device(
+        &mut self,
+        work: &[(usize, u64)],
+        look: u32,
+    ) -> Result<(), TileError> {
         let with_pairs = self.tools.pairs.is_some();
         let answer = |found: &Found| {
             let counted = found.counts.iter().zip(work);
@@ -234,7 +280,8 @@ impl Block<'_> {
                     let mut s = CellStats::default();
                     s.rays[LineKind::Check as usize] = *lines;
                     s.finds[LineKind::Check as usize] = u64::from(*misses);
-                    (s.bound_lines, s.bound_misses, s.bound_look) = (*lines, u64::from(*misses), look);
+                    (s.bound_lines, s.bound_misses, s.bound_look) =
+                        (*lines, u64::from(*misses), look);
                     if with_pairs {
                         (s.bound_cell_lines, s.bound_cell_misses, s.bound_cell_look) =
                             (*lines, u64::from(*cell_misses), look);
@@ -259,7 +306,12 @@ impl Block<'_> {
             let stats = |[segments, free, at, _]: &[u32; 4]| {
                 // Any three numbers that the answer carries to the other members.
                 let [last_rays, last_misses, bound_lines] = [*segments, *free, *at].map(u64::from);
-                CellStats { last_rays, last_misses, bound_lines, ..CellStats::default() }
+                CellStats {
+                    last_rays,
+                    last_misses,
+                    bound_lines,
+                    ..CellStats::default()
+                }
             };
             found.counts.iter().map(stats).collect()
         };
@@ -269,12 +321,18 @@ impl Block<'_> {
                 let part = s.last_misses as f64 / s.last_rays.max(1) as f64;
                 (s.last_rays, part * s.bound_lines as f64)
             };
-            *estimates.lock().unwrap_or_else(PoisonError::into_inner) = stats.iter().map(estimate).collect();
+            *estimates.lock().unwrap_or_else(PoisonError::into_inner) =
+                stats.iter().map(estimate).collect();
         };
-        self.any_phase_on_device(count, &|rounds, on| rounds.segments(work, on), &answer, &mut |_, s| {
-            take(s)
-        })?;
-        Ok(estimates.into_inner().unwrap_or_else(PoisonError::into_inner))
+        self.any_phase_on_device(
+            count,
+            &|rounds, on| rounds.segments(work, on),
+            &answer,
+            &mut |_, s| take(s),
+        )?;
+        Ok(estimates
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Sees to it that the device computes a phase, here or elsewhere, and adds its counts to the cells'.
@@ -285,7 +343,10 @@ impl Block<'_> {
         answer: &(dyn Fn(&Found) -> Vec<CellStats> + Sync),
     ) -> Result<(), TileError> {
         self.any_phase_on_device(cells.len(), compute, answer, &mut |block, stats| {
-            cells.iter().zip(stats).for_each(|(cell, s)| block.count(*cell, s));
+            cells
+                .iter()
+                .zip(stats)
+                .for_each(|(cell, s)| block.count(*cell, s));
         })
     }
 
@@ -298,7 +359,9 @@ impl Block<'_> {
         take: &mut dyn FnMut(&mut Self, &[CellStats]),
     ) -> Result<(), TileError> {
         let this = &*self;
-        let OnDevice::Yes { rounds, stale } = &this.device else { return Ok(()) };
+        let OnDevice::Yes { rounds, stale } = &this.device else {
+            return Ok(());
+        };
         let watcher = this.tools.watcher;
         // Before the phase: finds of another member may come while it is computed.
         let pairs = this.tools.pairs.filter(|_| *stale).map(Pairs::copy);
@@ -333,17 +396,33 @@ impl Block<'_> {
                 .with_min_len(4096)
                 .for_each(|(at, word)| this.bits.add(*at as usize, *word));
             if let Some(pairs) = this.tools.pairs {
-                found.pair_words.iter().for_each(|(at, word)| pairs.add(*at as usize, *word));
+                found
+                    .pair_words
+                    .iter()
+                    .for_each(|(at, word)| pairs.add(*at as usize, *word));
             }
-            let whole = Whole { stats, tally: found.tally, rays: found.rays };
+            let whole = Whole {
+                stats,
+                tally: found.tally,
+                rays: found.rays,
+            };
             watcher.rendered(whole.rays().saturating_sub(told.into_inner()));
             *own = Some(whole.clone());
             Ok(whole)
         };
         let fits = |whole: &Whole| whole.stats.len() == count;
-        let items = Items { count: 1, prepare: &|| {}, cost: &|_| 1, compute: &work, fits: &fits };
+        let items = Items {
+            count: 1,
+            prepare: &|| {},
+            cost: &|_| 1,
+            compute: &work,
+            fits: &fits,
+        };
         let done = phase::run(this.tools.crew, this.tables(), items)?;
-        let is_here = own.into_inner().unwrap_or_else(PoisonError::into_inner).is_some();
+        let is_here = own
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_some();
         if let OnDevice::Yes { stale, .. } = &mut self.device {
             *stale = !is_here;
         }

@@ -11,7 +11,11 @@ const COARSE: f64 = 3e-3;
 
 /// Most steps of the flood from what candidates find, for a target error.
 pub(super) fn steps_from_candidates(target: f64) -> u32 {
-    if target > COARSE { COARSE_STEPS } else { FLOOD_STEPS }
+    if target > COARSE {
+        COARSE_STEPS
+    } else {
+        FLOOD_STEPS
+    }
 }
 
 /// What suits the tracer of a block: how large rounds are, and what an aimed ray costs.
@@ -31,8 +35,18 @@ pub struct Pace {
 impl Pace {
     /// The host traces: uniform rays in packets. An aimed ray was measured as 2 (wide tiles, small scenes) to
     /// 4.5 uniform ones.
-    pub const HOST: Self = Self { first: 3, first_coarse: 2, growth: 1.25, aimed: 3 };
+    pub const HOST: Self = Self {
+        first: 3,
+        first_coarse: 2,
+        growth: 1.25,
+        aimed: 3,
+    };
     /// A device casts whole rounds. A ray more costs it less than a round more, and an aimed ray little more
     /// than another one (`docs/experiments/gpu-rounds.md`).
-    pub const DEVICE: Self = Self { first: 6, first_coarse: 4, growth: 1.25, aimed: 2 };
+    pub const DEVICE: Self = Self {
+        first: 6,
+        first_coarse: 4,
+        growth: 1.25,
+        aimed: 2,
+    };
 }

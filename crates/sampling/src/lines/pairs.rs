@@ -32,7 +32,14 @@ impl Pairs {
         let words = grid.words();
         let mut rows = Vec::new();
         rows.resize_with(words * 64 * words, || AtomicU64::new(0));
-        Self { grid, words, rows, reached: Vec::new(), parts: Vec::new(), kept: Mutex::default() }
+        Self {
+            grid,
+            words,
+            rows,
+            reached: Vec::new(),
+            parts: Vec::new(),
+            kept: Mutex::default(),
+        }
     }
 
     /// The same, of which only some cells have viewpoints, or only in some parts: `parts` gives those of a
@@ -41,7 +48,12 @@ impl Pairs {
     pub fn reached_in(mut self, parts: impl Fn(usize) -> u64) -> Self {
         self.parts = (0..self.grid.count()).map(parts).collect();
         let mut reached = vec![0; self.words];
-        for (at, _) in self.grid.each().zip(&self.parts).filter(|(_, parts)| **parts != 0) {
+        for (at, _) in self
+            .grid
+            .each()
+            .zip(&self.parts)
+            .filter(|(_, parts)| **parts != 0)
+        {
             let slot = self.grid.slot(at);
             reached[slot.word as usize] |= 1 << slot.bit;
         }
@@ -129,22 +141,34 @@ impl Pairs {
     /// it in `copy`.
     pub fn is_new(&self, copy: &[u64], slot: Slot, crossed: &[(u32, u64)]) -> bool {
         let row = self.row_of(copy, slot);
-        crossed.iter().any(|(at, bits)| bits & !row[*at as usize] != 0)
+        crossed
+            .iter()
+            .any(|(at, bits)| bits & !row[*at as usize] != 0)
     }
 
     /// The pairs of cells by their index, x fastest. Every cell is a pair with itself. `counts` says which
     /// cells do; pairs of two others are left out.
     pub fn table(&self, counts: impl Fn(u32) -> bool) -> PairTable {
         let mut table = PairTable::empty(self.grid.count() as u32);
-        let slots: Vec<usize> = self.grid.each().map(|c| self.grid.slot(c).index()).collect();
+        let slots: Vec<usize> = self
+            .grid
+            .each()
+            .map(|c| self.grid.slot(c).index())
+            .collect();
         let mut numbers = vec![0u32; self.words * 64];
-        slots.iter().zip(0..).for_each(|(slot, number)| numbers[*slot] = number);
+        slots
+            .iter()
+            .zip(0..)
+            .for_each(|(slot, number)| numbers[*slot] = number);
         for (slot, a) in slots.iter().zip(0..) {
             if !counts(a) {
                 continue;
             }
             table.insert(a, a);
-            for (word, bits) in self.rows[slot * self.words..][..self.words].iter().enumerate() {
+            for (word, bits) in self.rows[slot * self.words..][..self.words]
+                .iter()
+                .enumerate()
+            {
                 let mut rest = bits.load(Relaxed);
                 while rest != 0 {
                     table.insert(a, numbers[word * 64 + rest.trailing_zeros() as usize]);
@@ -159,6 +183,12 @@ impl Pairs {
 /// The pairs of a tile's lines. With restricted viewpoints, those of two cells without viewpoints are left
 /// out.
 pub fn of_tile(job: &JobContext<'_>, pairs: Option<&Pairs>) -> Option<TilePairs> {
-    let counts = |cell: u32| job.viewpoints.is_none_or(|marks| marks.of(cell as usize) != 0);
-    pairs.map(|pairs| TilePairs { seen: pairs.table(counts), hidden: None })
+    let counts = |cell: u32| {
+        job.viewpoints
+            .is_none_or(|marks| marks.of(cell as usize) != 0)
+    };
+    pairs.map(|pairs| TilePairs {
+        seen: pairs.table(counts),
+        hidden: None,
+    })
 }

@@ -40,13 +40,21 @@ pub(super) fn run<A: Answer>(
 ) -> Result<Vec<A>, TileError> {
     let mut answers = Vec::new();
     answers.resize_with(items.count, OnceLock::new);
-    let shared = Shared { tables, items, answers };
+    let shared = Shared {
+        tables,
+        items,
+        answers,
+    };
     crew.run(&shared)?;
     if let Some(pairs) = tables.pairs {
         pairs.keep();
     }
     // A crew that ends a phase too early is at fault; the tile is not.
-    shared.answers.into_iter().map(|a| a.into_inner().ok_or(TileError::Cancelled)).collect()
+    shared
+        .answers
+        .into_iter()
+        .map(|a| a.into_inner().ok_or(TileError::Cancelled))
+        .collect()
 }
 
 struct Shared<'a, A> {
@@ -58,7 +66,12 @@ struct Shared<'a, A> {
 impl<A: Answer> Shared<'_, A> {
     fn finds(&self, items: impl Iterator<Item = usize>) -> Vec<u8> {
         let answered = items.filter_map(|i| Some((i, self.answers[i].get()?)));
-        finds::encode(self.answers.len(), answered, self.tables.bits, self.tables.pairs)
+        finds::encode(
+            self.answers.len(),
+            answered,
+            self.tables.bits,
+            self.tables.pairs,
+        )
     }
 }
 
@@ -72,7 +85,9 @@ impl<A: Answer> Phase for Shared<'_, A> {
     }
 
     fn costs(&self) -> Vec<u64> {
-        (0..self.items.count).map(|item| (self.items.cost)(item)).collect()
+        (0..self.items.count)
+            .map(|item| (self.items.cost)(item))
+            .collect()
     }
 
     fn compute(&self, item: usize, _: &(dyn Fn() -> bool + Sync)) -> Result<(), TileError> {
@@ -83,7 +98,9 @@ impl<A: Answer> Phase for Shared<'_, A> {
     }
 
     fn has(&self, item: usize) -> bool {
-        self.answers.get(item).is_some_and(|answer| answer.get().is_some())
+        self.answers
+            .get(item)
+            .is_some_and(|answer| answer.get().is_some())
     }
 
     fn take(&self, items: &[usize]) -> Vec<u8> {
@@ -102,7 +119,11 @@ impl<A: Answer> Phase for Shared<'_, A> {
 
     fn add(&self, found: &[u8]) -> Result<u64, ForeignFinds> {
         let (bits, pairs) = (self.tables.bits, self.tables.pairs);
-        let Finds { answers, seen, joined } = finds::decode(found, self.answers.len(), bits, pairs)?;
+        let Finds {
+            answers,
+            seen,
+            joined,
+        } = finds::decode(found, self.answers.len(), bits, pairs)?;
         if !answers.iter().all(|(_, answer)| (self.items.fits)(answer)) {
             return Err(ForeignFinds("an answer counts other cells"));
         }
@@ -111,7 +132,9 @@ impl<A: Answer> Phase for Shared<'_, A> {
             seen.into_iter().for_each(|(at, word)| bits.add(at, word));
         }
         if let Some(pairs) = pairs {
-            joined.into_iter().for_each(|(at, word)| pairs.add(at, word));
+            joined
+                .into_iter()
+                .for_each(|(at, word)| pairs.add(at, word));
         }
         let mut rays = 0;
         for (item, answer) in answers {

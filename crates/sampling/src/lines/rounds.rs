@@ -55,11 +55,23 @@ impl Block<'_> {
     ///
     /// # Errors
     /// [`TileError`] when it is cancelled or the tracer fails. Running out of time is no error.
-    pub fn sample(&mut self, target: f64, wanted: &[usize], hard: Tolerance) -> Result<(), TileError> {
+    pub fn sample(
+        &mut self,
+        target: f64,
+        wanted: &[usize],
+        hard: Tolerance,
+    ) -> Result<(), TileError> {
         self.ask_for_device()?;
-        let mut open: Vec<usize> = if wanted.is_empty() { self.active() } else { wanted.to_vec() };
+        let mut open: Vec<usize> = if wanted.is_empty() {
+            self.active()
+        } else {
+            wanted.to_vec()
+        };
         for cell in &open {
-            (self.stats[*cell].unfinished, self.stats[*cell].raised_tolerance) = (false, false);
+            (
+                self.stats[*cell].unfinished,
+                self.stats[*cell].raised_tolerance,
+            ) = (false, false);
         }
         let enough = self.enough;
         // A device counts the misses of triangles.
@@ -71,14 +83,19 @@ impl Block<'_> {
                 break;
             }
             let sizes: Vec<u32> = match enough {
-                None => open.iter().map(|c| self.tiles_for(*c, target, round)).collect(),
+                None => open
+                    .iter()
+                    .map(|c| self.tiles_for(*c, target, round))
+                    .collect(),
                 Some(rays) => open.iter().map(|c| self.tiles_up_to(*c, rays)).collect(),
             };
             let work: Vec<(usize, u32)> = open.iter().copied().zip(sizes).collect();
             if self.is_on_device() {
                 self.uniform_on_device(&work)?;
             } else {
-                self.each(&work, |block, scratch, (cell, tiles)| block.uniform(scratch, *cell, *tiles))?;
+                self.each(&work, |block, scratch, (cell, tiles)| {
+                    block.uniform(scratch, *cell, *tiles)
+                })?;
             }
             self.publish();
             if round == 1 && !self.seeded && target < SEEDS_BELOW {
@@ -96,11 +113,15 @@ impl Block<'_> {
             if enough.is_none() {
                 // A cell that the first round has finished needs no candidates.
                 let before = open.len();
-                open.retain(|c| self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target);
+                open.retain(|c| {
+                    self.stats[*c].rounds > 1 || self.left(*c, LEFT_AFTER_FIRST) > target
+                });
                 self.count_done(before - open.len());
             }
-            let least: Vec<f64> =
-                open.iter().map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12)).collect();
+            let least: Vec<f64> = open
+                .iter()
+                .map(|c| (self.missing(*c) * CANDIDATE_PART).max(1e-12))
+                .collect();
             self.plan_tries(&open);
             if self.is_on_device() {
                 self.aim_on_device(&open, &least)?;
@@ -129,7 +150,9 @@ impl Block<'_> {
                 }
                 left > target * granted
             });
-            spared.into_iter().for_each(|c: usize| self.stats[c].raised_tolerance = true);
+            spared
+                .into_iter()
+                .for_each(|c: usize| self.stats[c].raised_tolerance = true);
             tracing::debug!("round {round}: {before} cells, {} left", open.len());
             self.count_done(before - open.len());
         }
@@ -177,7 +200,11 @@ impl Block<'_> {
     /// that candidates of the first finds are tried before the rest, then all that are left.
     fn tiles_up_to(&self, cell: usize, enough: u64) -> u32 {
         let cast = self.stats[cell].rays[LineKind::Uniform as usize];
-        let wanted = if cast == 0 { enough / 3 } else { enough.saturating_sub(cast) };
+        let wanted = if cast == 0 {
+            enough / 3
+        } else {
+            enough.saturating_sub(cast)
+        };
         ((wanted as f64 / 96.0).sqrt().ceil() as u32).clamp(self.pace.first, MOST_TILES)
     }
 
@@ -185,7 +212,11 @@ impl Block<'_> {
     fn tiles_for(&self, cell: usize, target: f64, round: u32) -> u32 {
         let s = &self.stats[cell];
         if s.last_rays == 0 {
-            return if target > COARSE { self.pace.first_coarse } else { self.pace.first };
+            return if target > COARSE {
+                self.pace.first_coarse
+            } else {
+                self.pace.first
+            };
         }
         let expected = (self.missing(cell) * LEFT_AFTER_ROUND).max(target);
         let rays = MISSES_WANTED / expected;

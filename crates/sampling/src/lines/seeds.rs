@@ -44,12 +44,17 @@ impl Block<'_> {
                 for group in stripe.chunks(LANES * ONE_IN) {
                     let direction = on_sphere(&mut random);
                     let halvings = (random.unit() * HALVINGS) as i32;
-                    let distance = extent * 0.25 * 2f32.powi(-halvings) * (0.5 + 0.5 * random.unit());
+                    let distance =
+                        extent * 0.25 * 2f32.powi(-halvings) * (0.5 + 0.5 * random.unit());
                     let front = random.unit() < 0.5;
                     let skip = (random.unit() * ONE_IN as f32) as usize;
                     let mut down = Packet::default();
                     for triangle in group.iter().skip(skip).step_by(ONE_IN).take(LANES) {
-                        let up = if self.is_up(*triangle, direction, front) { direction } else { -direction };
+                        let up = if self.is_up(*triangle, direction, front) {
+                            direction
+                        } else {
+                            -direction
+                        };
                         let at = Vec3::from(point_on(self.tools.scene, *triangle, &mut random));
                         let origin = at + up * distance;
                         // A free segment is in the viewpoints' region as a whole or not at all.
@@ -61,8 +66,16 @@ impl Block<'_> {
                     s.packets.push(down);
                     s.packets.push(up);
                 }
-                self.tools.sight.trace(&mut s.packets, &mut s.passed, self.step)?;
-                let Scratch { packets, passed, crossed, joined, .. } = &mut *s;
+                self.tools
+                    .sight
+                    .trace(&mut s.packets, &mut s.passed, self.step)?;
+                let Scratch {
+                    packets,
+                    passed,
+                    crossed,
+                    joined,
+                    ..
+                } = &mut *s;
                 let mut rays = 0;
                 for pair in 0..packets.len() / 2 {
                     let halves = [2 * pair, 2 * pair + 1];
@@ -77,8 +90,13 @@ impl Block<'_> {
             })
         };
         let cost = |_| 1;
-        let items =
-            Items { count: stripes.len(), prepare: &|| {}, cost: &cost, compute: &compute, fits: &|_| true };
+        let items = Items {
+            count: stripes.len(),
+            prepare: &|| {},
+            cost: &cost,
+            compute: &compute,
+            fits: &|_| true,
+        };
         phase::run(self.tools.crew, self.tables(), items).map(|_| ())
     }
 }

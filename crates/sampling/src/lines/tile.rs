@@ -18,7 +18,11 @@ use crate::sight::Sight;
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the backend fails.
-pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(CellSets, u64), TileError> {
+pub fn run(
+    job: &JobContext<'_>,
+    tile: &Tile,
+    watcher: &dyn Watcher,
+) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
     let scene = job.scene.for_lines();
     let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
@@ -33,13 +37,25 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
         Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher, block),
         None => Ok(0),
     };
-    let work = Work { job, scene, sight: &sight, watcher, pairs: pairs.as_ref() };
+    let work = Work {
+        job,
+        scene,
+        sight: &sight,
+        watcher,
+        pairs: pairs.as_ref(),
+    };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
     if let Division::Adaptive { .. } = job.division {
         let (sets, rays) = adaptive::run(&work, tile)?;
         let joined = join(None)?;
         job.crew.end()?;
-        return Ok((CellSets { pairs: of_tile(job, pairs.as_ref()), ..sets }, rays + joined));
+        return Ok((
+            CellSets {
+                pairs: of_tile(job, pairs.as_ref()),
+                ..sets
+            },
+            rays + joined,
+        ));
     }
     let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
     let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
@@ -47,7 +63,10 @@ pub fn run(job: &JobContext<'_>, tile: &Tile, watcher: &dyn Watcher) -> Result<(
         let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
         (z * whole[1] + y) * whole[0] + x
     };
-    let parts = |c: [u32; 3]| job.viewpoints.map_or(u64::MAX, |marks| marks.of(number(c) as usize));
+    let parts = |c: [u32; 3]| {
+        job.viewpoints
+            .map_or(u64::MAX, |marks| marks.of(number(c) as usize))
+    };
     let mut block = work.block(&tile.cell, span(&tile.cell), number, parts);
     tracing::debug!("know what meets each cell after {:?}", start.elapsed());
     let params = job.params;

@@ -66,17 +66,30 @@ impl Block<'_> {
                 s.packets.push(behind);
             }
             if tiles <= WIDE_TILES {
-                self.tools.sight.trace_each(&mut s.packets, &mut s.passed, self.step)?;
+                self.tools
+                    .sight
+                    .trace_each(&mut s.packets, &mut s.passed, self.step)?;
             } else {
-                self.tools.sight.trace(&mut s.packets, &mut s.passed, self.step)?;
+                self.tools
+                    .sight
+                    .trace(&mut s.packets, &mut s.passed, self.step)?;
             }
             finds.clear();
-            let Scratch { packets, passed, crossed, joined, met, tag, .. } = &mut *s;
+            let Scratch {
+                packets,
+                passed,
+                crossed,
+                joined,
+                met,
+                tag,
+                ..
+            } = &mut *s;
             for pair in 0..packets.len() / 2 {
                 for lane in 0..LANES {
                     let halves = [2 * pair, 2 * pair + 1];
                     let joins = lane.is_multiple_of(JOINED_LANES);
-                    let ends = self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
+                    let ends =
+                        self.credit_line(packets, passed, halves, lane, (crossed, joined), joins);
                     let mut meet = |triangle| {
                         if triangle == SKY || self.seen(triangle, c.slot) {
                             return;
@@ -86,7 +99,11 @@ impl Block<'_> {
                         if *met != *tag {
                             *met = *tag;
                             let origin = packets[2 * pair].ray(0).0;
-                            finds.push(Find { packet: pair as u32, origin, triangle });
+                            finds.push(Find {
+                                packet: pair as u32,
+                                origin,
+                                triangle,
+                            });
                         }
                     };
                     ends.into_iter().for_each(&mut meet);
@@ -97,12 +114,17 @@ impl Block<'_> {
             stats.finds[LineKind::Uniform as usize] += finds.len() as u64;
             let before = start.map(|start| start.elapsed());
             self.flood(s, cell, (&mut finds, FLOOD_STEPS), &mut random, &mut stats)?;
-            flooding += start.zip(before).map_or(Duration::ZERO, |(start, before)| start.elapsed() - before);
+            flooding += start
+                .zip(before)
+                .map_or(Duration::ZERO, |(start, before)| start.elapsed() - before);
         }
         stats.rays[LineKind::Uniform as usize] = stats.last_rays;
         if let (Some(ledger), Some(start)) = (self.tools.ledger, start) {
             let all = start.elapsed();
-            for (kind, time) in [(LineKind::Uniform, all - flooding), (LineKind::Flood, flooding)] {
+            for (kind, time) in [
+                (LineKind::Uniform, all - flooding),
+                (LineKind::Flood, flooding),
+            ] {
                 let [rays, finds] = [stats.rays, stats.finds].map(|of| of[kind as usize]);
                 ledger.spent(self.stats[cell].rounds, kind, rays, finds, time);
             }

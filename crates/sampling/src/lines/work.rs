@@ -60,47 +60,60 @@ fn meeting(work: &Work<'_>, within: &CellBox, block: &Block<'_>) {
     let cells = grid.cells();
     let planes: [Vec<f32>; 3] = std::array::from_fn(|a| {
         let step = (within.hi[a] - within.lo[a]) / cells[a];
-        (0..=cells[a]).map(|k| work.job.lattice.coordinate(a, within.lo[a] + k * step)).collect()
+        (0..=cells[a])
+            .map(|k| work.job.lattice.coordinate(a, within.lo[a] + k * step))
+            .collect()
     });
-    work.scene.shown.par_iter().with_min_len(1024).for_each(|&id| {
-        let triangle = &work.scene.scene.triangles()[id as usize];
-        let bounds = triangle.bounds();
-        // The cells whose closed slab the bounds touch, along each axis.
-        let range = |a: usize| {
-            let from = planes[a][1..].partition_point(|p| *p < bounds.min[a]) as u32;
-            let to = planes[a][..cells[a] as usize].partition_point(|p| *p <= bounds.max[a]) as u32;
-            from..to
-        };
-        for z in range(2) {
-            for y in range(1) {
-                for x in range(0) {
-                    let at = [x, y, z];
-                    let corner = |c: [u32; 3]| {
-                        glam::Vec3::new(
-                            planes[0][c[0] as usize],
-                            planes[1][c[1] as usize],
-                            planes[2][c[2] as usize],
-                        )
-                    };
-                    let cell = Aabb { min: corner(at), max: corner(at.map(|c| c + 1)) };
-                    let meets = || {
-                        let places = work.job.places;
-                        places.is_none_or(|places| places.touch(triangle.v, cell))
-                    };
-                    if overlap::triangle_touches_box(triangle, &cell) && meets() {
-                        let slot = grid.slot(at);
-                        block.credit_one(id, slot);
+    work.scene
+        .shown
+        .par_iter()
+        .with_min_len(1024)
+        .for_each(|&id| {
+            let triangle = &work.scene.scene.triangles()[id as usize];
+            let bounds = triangle.bounds();
+            // The cells whose closed slab the bounds touch, along each axis.
+            let range = |a: usize| {
+                let from = planes[a][1..].partition_point(|p| *p < bounds.min[a]) as u32;
+                let to =
+                    planes[a][..cells[a] as usize].partition_point(|p| *p <= bounds.max[a]) as u32;
+                from..to
+            };
+            for z in range(2) {
+                for y in range(1) {
+                    for x in range(0) {
+                        let at = [x, y, z];
+                        let corner = |c: [u32; 3]| {
+                            glam::Vec3::new(
+                                planes[0][c[0] as usize],
+                                planes[1][c[1] as usize],
+                                planes[2][c[2] as usize],
+                            )
+                        };
+                        let cell = Aabb {
+                            min: corner(at),
+                            max: corner(at.map(|c| c + 1)),
+                        };
+                        let meets = || {
+                            let places = work.job.places;
+                            places.is_none_or(|places| places.touch(triangle.v, cell))
+                        };
+                        if overlap::triangle_touches_box(triangle, &cell) && meets() {
+                            let slot = grid.slot(at);
+                            block.credit_one(id, slot);
+                        }
                     }
                 }
             }
-        }
-    });
+        });
 }
 
 /// The triangles seen from each cell, ascending; indexed by [`super::grid::Slot::index`].
 pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
     let words = block.grid().words() as u32;
-    (0..words).into_par_iter().flat_map_iter(|w| block.bits().columns(w)).collect()
+    (0..words)
+        .into_par_iter()
+        .flat_map_iter(|w| block.bits().columns(w))
+        .collect()
 }
 
 /// Gives triangles that are seen together the union of their rows: duplicates, and the items that share one.

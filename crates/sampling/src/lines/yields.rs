@@ -48,14 +48,20 @@ impl Tally {
     pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
         // Both units are powers of two, so the number is exact while it fits.
         let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);
-        Self(decades.map(|[tries, g, before]| Counts { tries, gain: gain(g), before }))
+        Self(decades.map(|[tries, g, before]| Counts {
+            tries,
+            gain: gain(g),
+            before,
+        }))
     }
 
     /// Both tallies in one.
     #[must_use]
     pub fn and(&self, other: &Self) -> Self {
         let (mut all, more) = (self.numbers(), other.numbers());
-        all.iter_mut().zip(more).for_each(|(n, m)| *n = n.wrapping_add(m));
+        all.iter_mut()
+            .zip(more)
+            .for_each(|(n, m)| *n = n.wrapping_add(m));
         Self::from_numbers(all)
     }
 
@@ -72,7 +78,11 @@ impl Tally {
     pub(super) fn from_numbers(numbers: [u64; Self::NUMBERS]) -> Self {
         Self(std::array::from_fn(|n| {
             let [tries, gain, before] = [0, 1, 2].map(|k| numbers[3 * n + k]);
-            Counts { tries, gain, before }
+            Counts {
+                tries,
+                gain,
+                before,
+            }
         }))
     }
 }
@@ -111,7 +121,11 @@ fn decade_of(part: f32) -> usize {
 impl Yields {
     /// Yields before the first round. `work` is the work of a try in units of a uniform ray.
     pub(super) fn new(work: u64) -> Self {
-        Self { decades: Default::default(), rays: 0.0, work: work as f64 }
+        Self {
+            decades: Default::default(),
+            rays: 0.0,
+            work: work as f64,
+        }
     }
 
     /// Tries at a candidate that would cover `part` of the sphere, in this round.
@@ -130,7 +144,13 @@ impl Yields {
 
     /// Counts in a cell's tally try number `time` of this round, from 0, at a candidate that would cover
     /// `part` of the sphere seen from a cell that has cast `rays` uniform rays.
-    pub(super) fn count(&self, tally: &mut Tally, (part, time): (f32, u32), rays: u64, found: bool) {
+    pub(super) fn count(
+        &self,
+        tally: &mut Tally,
+        (part, time): (f32, u32),
+        rays: u64,
+        found: bool,
+    ) {
         let number = decade_of(part);
         let (decade, counts) = (&self.decades[number], &mut tally.0[number]);
         let before = decade.so_far + f64::from(time) + rays as f64 * f64::from(part);
@@ -199,7 +219,11 @@ mod tests {
         assert_eq!(yields.times(3e-4), 1.0);
         count(&mut yields, 1000, |i| i < finds);
         yields.plan(misses, 1000, 2000.0);
-        assert!([0.3, 3e-2, 3e-3, 3e-5, 1e-9].iter().all(|other| yields.times(*other) == 1.0));
+        assert!(
+            [0.3, 3e-2, 3e-3, 3e-5, 1e-9]
+                .iter()
+                .all(|other| yields.times(*other) == 1.0)
+        );
         yields.times(3e-4)
     }
 
@@ -212,7 +236,10 @@ mod tests {
             1.3 * (a_try / (6.0 * a_ray)).sqrt() * 2.0 - 1.3 - 0.3
         };
         for (finds, misses) in [(300, 20), (500, 10), (500, 5)] {
-            let (times, expected) = (second(finds, misses), by_hand(f64::from(finds), misses as f64));
+            let (times, expected) = (
+                second(finds, misses),
+                by_hand(f64::from(finds), misses as f64),
+            );
             assert!(
                 (1.0..MOST).contains(&expected) && (times - expected).abs() < 0.02,
                 "{times} for {expected}"
@@ -238,6 +265,9 @@ mod tests {
         for (decade, part) in PARTS.into_iter().enumerate() {
             assert_eq!(decade_of(part as f32), decade);
         }
-        assert_eq!([decade_of(1.0), decade_of(0.0), decade_of(1e-20)], [0, DECADES - 1, DECADES - 1]);
+        assert_eq!(
+            [decade_of(1.0), decade_of(0.0), decade_of(1e-20)],
+            [0, DECADES - 1, DECADES - 1]
+        );
     }
 }

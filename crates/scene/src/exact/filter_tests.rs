@@ -20,8 +20,11 @@ fn rounded3d([a, b, c, p]: [[f32; 3]; 4]) -> f64 {
 }
 
 /// Points a, b, p whose turn `f64` computes as 2.0u.
-const WORST_2D: [[f32; 2]; 3] =
-    [[-7.807112e-10, -7.8070805e-10], [-1.0000136, -1.0000095], [1.0000136, 1.0000095]];
+const WORST_2D: [[f32; 2]; 3] = [
+    [-7.807112e-10, -7.8070805e-10],
+    [-1.0000136, -1.0000095],
+    [1.0000136, 1.0000095],
+];
 
 /// Points a, b, c, p whose orientation `f64` computes as 4.7u. Two of the six products are large and cancel.
 const WORST_3D: [[f32; 3]; 4] = [
@@ -37,9 +40,15 @@ const WORST_3D: [[f32; 3]; 4] = [
 fn half_bound_of_orient2d_gives_wrong_sign() {
     let points = WORST_2D;
     let rounded = rounded2d(points);
-    assert!(rounded > 0.5 * ORIENT2D_BOUND / U && rounded < ORIENT2D_BOUND / U, "{rounded} u");
+    assert!(
+        rounded > 0.5 * ORIENT2D_BOUND / U && rounded < ORIENT2D_BOUND / U,
+        "{rounded} u"
+    );
     // The determinant is −0.0012u of the products' magnitudes in integers.
-    assert_eq!(orient2d_sign(points[0], points[1], points[2]), Ordering::Less);
+    assert_eq!(
+        orient2d_sign(points[0], points[1], points[2]),
+        Ordering::Less
+    );
 }
 
 /// The worst case of three dimensions, found in the same way: the determinant is −0.0005u in integers.
@@ -47,7 +56,10 @@ fn half_bound_of_orient2d_gives_wrong_sign() {
 fn half_bound_of_orient3d_gives_wrong_sign() {
     let [a, b, c, p] = WORST_3D.map(Vec3::from);
     let rounded = rounded3d(WORST_3D);
-    assert!(rounded > 0.5 * ORIENT3D_BOUND / U && rounded < ORIENT3D_BOUND / U, "{rounded} u");
+    assert!(
+        rounded > 0.5 * ORIENT3D_BOUND / U && rounded < ORIENT3D_BOUND / U,
+        "{rounded} u"
+    );
     assert_eq!(orient3d_sign(a, b, c, p), Ordering::Less);
 }
 
@@ -231,18 +243,34 @@ fn small_integers_reject_values_that_are_not_finite() {
     assert_eq!(small_integers([[0.5, -3.0, 0.0]]), Some([[1, -6, 0]]));
     // 41 bits fit, 42 do not.
     let most = f64::from(2).powi(MOST_BITS);
-    assert_eq!(small_integers([[1.0, most - 1.0, 0.0]]), Some([[1, (1 << MOST_BITS) - 1, 0]]));
+    assert_eq!(
+        small_integers([[1.0, most - 1.0, 0.0]]),
+        Some([[1, (1 << MOST_BITS) - 1, 0]])
+    );
     assert_eq!(small_integers([[1.0, most, 0.0]]), None);
     assert_eq!(small_integers([[1.0, most * 2.0 - 2.0, 0.0]]), None);
-    assert_eq!(small_integers([[1.0, most / 2.0 + 1.0, 0.0]]), Some([[1, (1 << (MOST_BITS - 1)) + 1, 0]]));
+    assert_eq!(
+        small_integers([[1.0, most / 2.0 + 1.0, 0.0]]),
+        Some([[1, (1 << (MOST_BITS - 1)) + 1, 0]])
+    );
     assert_eq!(small_integers([[most, 0.0, 0.0]]), Some([[1, 0, 0]]));
 }
 
 #[test]
 fn crossing_rejects_border() {
-    let at = |z: f32| [Vec3::new(-1.0, -1.0, z), Vec3::new(3.0, -1.0, z), Vec3::new(-1.0, 3.0, z)];
+    let at = |z: f32| {
+        [
+            Vec3::new(-1.0, -1.0, z),
+            Vec3::new(3.0, -1.0, z),
+            Vec3::new(-1.0, 3.0, z),
+        ]
+    };
     let alone = |triangles: &[[Vec3; 3]], x: f32| {
-        crossed_alone(triangles.iter().copied(), Vec3::new(x, 0.0, -1.0), Vec3::new(x, 0.0, 1.5))
+        crossed_alone(
+            triangles.iter().copied(),
+            Vec3::new(x, 0.0, -1.0),
+            Vec3::new(x, 0.0, 1.5),
+        )
     };
     assert_eq!(alone(&[at(2.0), at(0.0), at(-3.0)], 0.0), Some(1));
     assert_eq!(alone(&[at(0.0), at(1.0)], 0.0), None);

@@ -25,7 +25,11 @@ impl Builder {
         parts(self);
         // Counts are little above MAX_TRIANGLES at most, which every kind checks before it builds.
         let count = (self.triangles.len() - first) as u32;
-        self.objects.push(Object { name, first: first as u32, count });
+        self.objects.push(Object {
+            name,
+            first: first as u32,
+            count,
+        });
     }
 
     /// The finished scene.
@@ -47,7 +51,13 @@ impl Builder {
 
     /// A box of twelve triangles.
     pub(super) fn cuboid(&mut self, min: Vec3, max: Vec3) {
-        self.slab([0, 1, 2], &[min.x, max.x], &[min.y, max.y], [min.z, max.z], |_, _| false);
+        self.slab(
+            [0, 1, 2],
+            &[min.x, max.x],
+            &[min.y, max.y],
+            [min.z, max.z],
+            |_, _| false,
+        );
     }
 
     /// A flat slab cut into cells by the ascending coordinates `us` and `vs`, from `ns[0]` to `ns[1]` thick,
@@ -91,9 +101,15 @@ impl Builder {
 
     /// A tube with flat ends through `rings` of (centre, radius > 0), `sides` ≥ 3 around; see [`tube_size`].
     pub(super) fn tube(&mut self, rings: &[(Vec3, f32)], sides: u32) {
-        let [(first, _), .., (last, _)] = rings else { return };
+        let [(first, _), .., (last, _)] = rings else {
+            return;
+        };
         let along = (*last - *first).normalize_or(Vec3::Y);
-        let aside = if along.y.abs() < 0.9 { Vec3::Y } else { Vec3::X };
+        let aside = if along.y.abs() < 0.9 {
+            Vec3::Y
+        } else {
+            Vec3::X
+        };
         let u = along.cross(aside).normalize_or(Vec3::Z);
         let v = along.cross(u);
         let corners: Vec<Vec<Vec3>> = rings

@@ -20,29 +20,58 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     const KIND: Kind = Kind::Forest;
     let (trees, each) = match (params.triangles, params.trees, params.triangles_per_tree) {
         (Some(_), Some(_), Some(_)) => {
-            return Err(contradiction(KIND, "--trees and --triangles-per-tree already fix it"));
+            return Err(contradiction(
+                KIND,
+                "--trees and --triangles-per-tree already fix it",
+            ));
         }
         (Some(total), trees, each) => {
             within(KIND, "--triangles", total, 100, MAX_TRIANGLES)?;
             if let Some(each) = each {
-                let each = within(KIND, "--triangles-per-tree", u64::from(each), LEAST_TREE, MAX_TRIANGLES)?;
+                let each = within(
+                    KIND,
+                    "--triangles-per-tree",
+                    u64::from(each),
+                    LEAST_TREE,
+                    MAX_TRIANGLES,
+                )?;
                 ((total / (each + 2 * GROUND * GROUND)).max(1), each)
             } else {
-                let trees = trees.map_or((total / 25_000).max((total / 1_000).clamp(1, 8)), u64::from);
+                let trees =
+                    trees.map_or((total / 25_000).max((total / 1_000).clamp(1, 8)), u64::from);
                 within(KIND, "--trees", trees, 1, MAX_TRIANGLES / LEAST_TREE)?;
                 let side = ground_side(trees);
-                (trees, (total.saturating_sub(2 * side * side) / trees).max(LEAST_TREE))
+                (
+                    trees,
+                    (total.saturating_sub(2 * side * side) / trees).max(LEAST_TREE),
+                )
             }
         }
         (None, trees, each) => (trees.map_or(200, u64::from), each.map_or(25_000, u64::from)),
     };
     within(KIND, "--trees", trees, 1, MAX_TRIANGLES / LEAST_TREE)?;
-    within(KIND, "--triangles-per-tree", each, LEAST_TREE, MAX_TRIANGLES)?;
-    let all = trees.saturating_mul(each).saturating_add(2 * ground_side(trees).pow(2));
-    within(KIND, "triangles of all trees and the ground", all, LEAST_TREE, MAX_TRIANGLES)?;
+    within(
+        KIND,
+        "--triangles-per-tree",
+        each,
+        LEAST_TREE,
+        MAX_TRIANGLES,
+    )?;
+    let all = trees
+        .saturating_mul(each)
+        .saturating_add(2 * ground_side(trees).pow(2));
+    within(
+        KIND,
+        "triangles of all trees and the ground",
+        all,
+        LEAST_TREE,
+        MAX_TRIANGLES,
+    )?;
 
     let columns = isqrt(trees - 1) + 1;
-    b.object("ground".into(), |b| ground(b, params.seed, ground_side(trees), columns as f32 * SPACING));
+    b.object("ground".into(), |b| {
+        ground(b, params.seed, ground_side(trees), columns as f32 * SPACING)
+    });
     for tree in 0..trees {
         let mut r = Random::new(params.seed, 1 + tree);
         // At least a fifth of the spacing stays between trunks.
@@ -139,7 +168,11 @@ mod tests {
     #[test]
     fn every_tree_has_exactly_its_triangles() {
         for each in [12u32, 13, 100, 999, 25_000] {
-            let p = Params { trees: Some(3), triangles_per_tree: Some(each), ..Params::default() };
+            let p = Params {
+                trees: Some(3),
+                triangles_per_tree: Some(each),
+                ..Params::default()
+            };
             let s = generate(Kind::Forest, &p).unwrap();
             assert_eq!(s.objects().len(), 4);
             assert!(s.objects()[1..].iter().all(|o| o.count == each));

@@ -54,8 +54,8 @@ fn table(b: &mut Builder, at: Vec3, half: f32, height: f32) {
 fn turned(b: &mut Builder, r: &mut Random, at: Vec3, radius: f32, height: f32, budget: u64) {
     // About as many sides as segments, so that triangles are not needles.
     let sides = (((budget / 2).isqrt()).clamp(3, 4_000)) as u32;
-    let segments =
-        ((budget.saturating_sub(2 * u64::from(sides - 2)) / (2 * u64::from(sides))).clamp(1, 1 << 20)) as u32;
+    let segments = ((budget.saturating_sub(2 * u64::from(sides - 2)) / (2 * u64::from(sides)))
+        .clamp(1, 1 << 20)) as u32;
     debug_assert!(tube_size(sides, segments) <= budget.max(LEAST));
     let knots: Vec<f32> = (0..7).map(|_| r.range(0.35, 1.0)).collect();
     let rings: Vec<(Vec3, f32)> = (0..=segments)

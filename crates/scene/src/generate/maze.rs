@@ -15,7 +15,14 @@ const MAX_SIDE: u64 = 20_000;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
     let [cols, rows] = grid(Kind::Maze, params, PER_CELL, [16, 16], 150)?;
-    let plan = Plan { origin: Vec3::ZERO, cols, rows, cell: 2.0, height: 2.5, thickness: 0.2 };
+    let plan = Plan {
+        origin: Vec3::ZERO,
+        cols,
+        rows,
+        cell: 2.0,
+        height: 2.5,
+        thickness: 0.2,
+    };
     let mut r = Random::new(params.seed, 0);
     let open = carve(cols, rows, &mut r);
     b.object("floor".into(), |b| plan.plate(b, -0.2, 0.0, 0.0));
@@ -24,7 +31,10 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
             b.object(format!("pillar {i} {j}"), |b| plan.pillar(b, i, j));
         }
     }
-    for p in plan.places().filter(|p| plan.is_outer(*p) || !open.between(*p)) {
+    for p in plan
+        .places()
+        .filter(|p| plan.is_outer(*p) || !open.between(*p))
+    {
         b.object(wall_name(p), |b| plan.wall(b, p, Wall::Solid, &mut r));
     }
     Ok(())
@@ -52,13 +62,22 @@ pub(super) fn grid(
             within(kind, "--triangles", total, least, MAX_TRIANGLES)?;
             // The pillars and walls of the border take the triangles of another strip of cells.
             let side = isqrt(total / per_cell).saturating_sub(1).max(1);
-            [side, ((total / per_cell).saturating_sub(side) / (side + 1)).max(1)]
+            [
+                side,
+                ((total / per_cell).saturating_sub(side) / (side + 1)).max(1),
+            ]
         }
         (None, None) => default.map(u64::from),
     };
     within(kind, "columns of --grid", cols, 1, MAX_SIDE)?;
     within(kind, "rows of --grid", rows, 1, MAX_SIDE)?;
-    within(kind, "columns × rows × triangles each", cols * rows * per_cell, 1, MAX_TRIANGLES)?;
+    within(
+        kind,
+        "columns × rows × triangles each",
+        cols * rows * per_cell,
+        1,
+        MAX_TRIANGLES,
+    )?;
     // Both are at most MAX_SIDE.
     Ok([cols as u32, rows as u32])
 }
@@ -73,7 +92,11 @@ pub(super) struct Open {
 impl Open {
     /// Whether the cells on both sides of an inner wall are joined.
     pub(super) fn between(&self, p: Place) -> bool {
-        let (i, j, which) = if p.along_z { (p.i - 1, p.j, 0) } else { (p.i, p.j - 1, 1) };
+        let (i, j, which) = if p.along_z {
+            (p.i - 1, p.j, 0)
+        } else {
+            (p.i, p.j - 1, 1)
+        };
         self.joined[(j as usize) * self.cols as usize + i as usize][which]
     }
 }
@@ -116,8 +139,19 @@ mod tests {
             let open = carve(grid[0], grid[1], &mut Random::new(5, 0));
             let count = open.joined.iter().flatten().filter(|o| **o).count() as u32;
             assert_eq!(count, grid[0] * grid[1] - 1);
-            let s = generate(Kind::Maze, &Params { grid: Some(grid), ..Params::default() }).unwrap();
-            let walls = s.objects().iter().filter(|o| o.name.starts_with("wall")).count() as u32;
+            let s = generate(
+                Kind::Maze,
+                &Params {
+                    grid: Some(grid),
+                    ..Params::default()
+                },
+            )
+            .unwrap();
+            let walls = s
+                .objects()
+                .iter()
+                .filter(|o| o.name.starts_with("wall"))
+                .count() as u32;
             assert_eq!(walls, grid[0] * grid[1] + grid[0] + grid[1] + 1);
         }
     }

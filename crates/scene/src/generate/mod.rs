@@ -28,9 +28,21 @@ use crate::Scene;
 pub fn generate(kind: Kind, params: &Params) -> Result<Scene, GenerateError> {
     let foreign = [
         ("--trees", params.trees.is_some(), kind == Kind::Forest),
-        ("--triangles-per-tree", params.triangles_per_tree.is_some(), kind == Kind::Forest),
-        ("--grid", params.grid.is_some(), matches!(kind, Kind::Rooms | Kind::Maze | Kind::Slits)),
-        ("--slit-width", params.slit_width.is_some(), kind == Kind::Slits),
+        (
+            "--triangles-per-tree",
+            params.triangles_per_tree.is_some(),
+            kind == Kind::Forest,
+        ),
+        (
+            "--grid",
+            params.grid.is_some(),
+            matches!(kind, Kind::Rooms | Kind::Maze | Kind::Slits),
+        ),
+        (
+            "--slit-width",
+            params.slit_width.is_some(),
+            kind == Kind::Slits,
+        ),
     ];
     for (option, given, applies) in foreign {
         if given && !applies {
@@ -58,7 +70,15 @@ mod tests {
     use crate::topology::Solids;
 
     fn sized(kind: Kind, triangles: u64, seed: u64) -> Scene {
-        generate(kind, &Params { seed, triangles: Some(triangles), ..Params::default() }).unwrap()
+        generate(
+            kind,
+            &Params {
+                seed,
+                triangles: Some(triangles),
+                ..Params::default()
+            },
+        )
+        .unwrap()
     }
 
     #[test]
@@ -73,7 +93,8 @@ mod tests {
     #[test]
     fn the_bytes_are_those_of_every_other_machine() {
         // Recorded digests. A change here changes scenes on which others have measured.
-        let digests = Kind::ALL.map(|kind| sized(kind, 5_000, 7).digest().to_string()[..16].to_owned());
+        let digests =
+            Kind::ALL.map(|kind| sized(kind, 5_000, 7).digest().to_string()[..16].to_owned());
         assert_eq!(
             digests,
             [
@@ -92,13 +113,23 @@ mod tests {
             for target in [2_000u64, 30_000, 200_000] {
                 let s = sized(kind, target, 1);
                 let n = f64::from(s.len()) / target as f64;
-                assert!((0.75..1.25).contains(&n), "{} {target}: {} triangles", kind.name(), s.len());
+                assert!(
+                    (0.75..1.25).contains(&n),
+                    "{} {target}: {} triangles",
+                    kind.name(),
+                    s.len()
+                );
                 let mut names: Vec<&str> = s.objects().iter().map(|o| o.name.as_str()).collect();
                 names.sort_unstable();
                 assert!(names.windows(2).all(|w| w[0] != w[1]), "{}", kind.name());
                 assert!(s.objects().iter().all(|o| o.count > 0));
                 let flat = s.triangles().iter().filter(|t| t.is_degenerate()).count();
-                assert_eq!(flat, 0, "{} {target} has triangles without area", kind.name());
+                assert_eq!(
+                    flat,
+                    0,
+                    "{} {target} has triangles without area",
+                    kind.name()
+                );
             }
         }
     }
@@ -109,10 +140,15 @@ mod tests {
             let s = sized(kind, 20_000, 3);
             let solids = Solids::of(&s).unwrap();
             for o in s.objects().iter().filter(|o| o.name != "ground") {
-                let inside_out = (o.first..o.first + o.count).find(|id| solids.outward(*id) != Some(1.0));
+                let inside_out =
+                    (o.first..o.first + o.count).find(|id| solids.outward(*id) != Some(1.0));
                 assert_eq!(inside_out, None, "{}, {}", kind.name(), o.name);
             }
-            assert!(crate::topology::duplicates(&s).unwrap().is_empty(), "{}", kind.name());
+            assert!(
+                crate::topology::duplicates(&s).unwrap().is_empty(),
+                "{}",
+                kind.name()
+            );
         }
     }
 
@@ -122,20 +158,78 @@ mod tests {
         let d = Params::default();
         for kind in Kind::ALL {
             for bad in [0, 1, MAX_TRIANGLES + 1, u64::MAX] {
-                let e = with(kind, Params { triangles: Some(bad), ..d });
-                assert!(e.contains("triangles is") && e.contains("must be from"), "{e}");
+                let e = with(
+                    kind,
+                    Params {
+                        triangles: Some(bad),
+                        ..d
+                    },
+                );
+                assert!(
+                    e.contains("triangles is") && e.contains("must be from"),
+                    "{e}"
+                );
             }
         }
-        assert!(with(Kind::Maze, Params { trees: Some(3), ..d }).contains("trees cannot be given"));
-        assert!(with(Kind::Forest, Params { trees: Some(0), ..d }).contains("trees is 0"));
-        let huge = Params { trees: Some(u32::MAX), triangles_per_tree: Some(u32::MAX), ..d };
+        assert!(
+            with(
+                Kind::Maze,
+                Params {
+                    trees: Some(3),
+                    ..d
+                }
+            )
+            .contains("trees cannot be given")
+        );
+        assert!(
+            with(
+                Kind::Forest,
+                Params {
+                    trees: Some(0),
+                    ..d
+                }
+            )
+            .contains("trees is 0")
+        );
+        let huge = Params {
+            trees: Some(u32::MAX),
+            triangles_per_tree: Some(u32::MAX),
+            ..d
+        };
         assert!(with(Kind::Forest, huge).contains("must be from"));
         for kind in [Kind::Maze, Kind::Rooms, Kind::Slits] {
-            assert!(with(kind, Params { grid: Some([0, 4]), ..d }).contains("must be from"));
-            assert!(with(kind, Params { grid: Some([u32::MAX; 2]), ..d }).contains("must be from"));
+            assert!(
+                with(
+                    kind,
+                    Params {
+                        grid: Some([0, 4]),
+                        ..d
+                    }
+                )
+                .contains("must be from")
+            );
+            assert!(
+                with(
+                    kind,
+                    Params {
+                        grid: Some([u32::MAX; 2]),
+                        ..d
+                    }
+                )
+                .contains("must be from")
+            );
         }
         for w in [0.0, -1.0, f32::NAN, 1.0, 1e-9] {
-            assert!(with(Kind::Slits, Params { slit_width: Some(w), ..d }).contains("--slit-width is"));
+            assert!(
+                with(
+                    Kind::Slits,
+                    Params {
+                        slit_width: Some(w),
+                        ..d
+                    }
+                )
+                .contains("--slit-width is")
+            );
         }
         assert!("castle".parse::<Kind>().is_err());
         assert_eq!("maze".parse::<Kind>().unwrap(), Kind::Maze);

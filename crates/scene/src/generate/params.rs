@@ -23,7 +23,13 @@ pub enum Kind {
 
 impl Kind {
     /// All kinds, in the order of declaration.
-    pub const ALL: [Self; 5] = [Self::Forest, Self::Town, Self::Rooms, Self::Maze, Self::Slits];
+    pub const ALL: [Self; 5] = [
+        Self::Forest,
+        Self::Town,
+        Self::Rooms,
+        Self::Maze,
+        Self::Slits,
+    ];
 
     /// The kind's name on the command line.
     pub fn name(self) -> &'static str {
@@ -118,12 +124,22 @@ pub(super) fn within<T: PartialOrd + std::fmt::Display>(
         return Ok(value);
     }
     let (value, least, most) = (value.to_string(), least.to_string(), most.to_string());
-    Err(GenerateError::OutOfRange { kind: kind.name(), option, value, least, most })
+    Err(GenerateError::OutOfRange {
+        kind: kind.name(),
+        option,
+        value,
+        least,
+        most,
+    })
 }
 
 /// Refuses `triangles` together with options that determine the number.
 pub(super) fn contradiction(kind: Kind, reason: &'static str) -> GenerateError {
-    GenerateError::NotApplicable { kind: kind.name(), option: "--triangles", reason }
+    GenerateError::NotApplicable {
+        kind: kind.name(),
+        option: "--triangles",
+        reason,
+    }
 }
 
 /// The greatest integer whose square is not above `x`.

@@ -46,14 +46,30 @@ impl Plan {
     /// All places for walls: those along x row by row, then those along z.
     pub(super) fn places(&self) -> impl Iterator<Item = Place> + use<> {
         let Self { cols, rows, .. } = *self;
-        let along_x = (0..=rows).flat_map(move |j| (0..cols).map(move |i| Place { along_z: false, i, j }));
-        let along_z = (0..rows).flat_map(move |j| (0..=cols).map(move |i| Place { along_z: true, i, j }));
+        let along_x = (0..=rows).flat_map(move |j| {
+            (0..cols).map(move |i| Place {
+                along_z: false,
+                i,
+                j,
+            })
+        });
+        let along_z = (0..rows).flat_map(move |j| {
+            (0..=cols).map(move |i| Place {
+                along_z: true,
+                i,
+                j,
+            })
+        });
         along_x.chain(along_z)
     }
 
     /// Whether a wall at this place is on the border.
     pub(super) fn is_outer(&self, p: Place) -> bool {
-        if p.along_z { p.i == 0 || p.i == self.cols } else { p.j == 0 || p.j == self.rows }
+        if p.along_z {
+            p.i == 0 || p.i == self.cols
+        } else {
+            p.j == 0 || p.j == self.rows
+        }
     }
 
     /// The least and greatest coordinate of grid line `k`'s thickness along `axis` (0: x, 2: z).
@@ -65,14 +81,19 @@ impl Plan {
     /// The same for the pillars on the grid line.
     fn pillars(&self, axis: usize, k: u32) -> [f32; 2] {
         let middle = self.origin[axis] + k as f32 * self.cell;
-        [middle - self.thickness * 0.75, middle + self.thickness * 0.75]
+        [
+            middle - self.thickness * 0.75,
+            middle + self.thickness * 0.75,
+        ]
     }
 
     /// The free floor of cell (i, j): least and greatest x and z at floor height.
     pub(super) fn floor(&self, i: u32, j: u32) -> [Vec3; 2] {
         let y = self.origin.y;
-        let (x, z) =
-            ([self.line(0, i)[1], self.line(0, i + 1)[0]], [self.line(2, j)[1], self.line(2, j + 1)[0]]);
+        let (x, z) = (
+            [self.line(0, i)[1], self.line(0, i + 1)[0]],
+            [self.line(2, j)[1], self.line(2, j + 1)[0]],
+        );
         [Vec3::new(x[0], y, z[0]), Vec3::new(x[1], y, z[1])]
     }
 
@@ -82,7 +103,11 @@ impl Plan {
         let y = self.origin.y;
         let out = Vec3::new(overhang, 0.0, overhang);
         let min = Vec3::new(self.pillars(0, 0)[0], y + from, self.pillars(2, 0)[0]) - out;
-        let max = Vec3::new(self.pillars(0, self.cols)[1], y + to, self.pillars(2, self.rows)[1]) + out;
+        let max = Vec3::new(
+            self.pillars(0, self.cols)[1],
+            y + to,
+            self.pillars(2, self.rows)[1],
+        ) + out;
         b.cuboid(min, max);
     }
 
@@ -95,7 +120,11 @@ impl Plan {
 
     /// A wall at `p`.
     pub(super) fn wall(&self, b: &mut Builder, p: Place, wall: Wall, r: &mut Random) {
-        let (axes, u, line) = if p.along_z { ([2, 1, 0], p.j, p.i) } else { ([0, 1, 2], p.i, p.j) };
+        let (axes, u, line) = if p.along_z {
+            ([2, 1, 0], p.j, p.i)
+        } else {
+            ([0, 1, 2], p.i, p.j)
+        };
         let (from, to) = (self.pillars(axes[0], u)[1], self.pillars(axes[0], u + 1)[0]);
         let ns = self.line(axes[2], line);
         let (low, high) = (self.origin.y, self.origin.y + self.height);
@@ -107,7 +136,9 @@ impl Plan {
         match wall {
             Wall::Solid => b.slab(axes, &[from, to], &[low, high], ns, |_, _| false),
             Wall::Door => b.slab(axes, &us, &[low, v(0.7), high], ns, |i, j| (i, j) == (1, 0)),
-            Wall::Window => b.slab(axes, &us, &[low, v(0.3), v(0.75), high], ns, |i, j| (i, j) == (1, 1)),
+            Wall::Window => b.slab(axes, &us, &[low, v(0.3), v(0.75), high], ns, |i, j| {
+                (i, j) == (1, 1)
+            }),
         }
     }
 }

@@ -9,7 +9,9 @@ pub(super) struct Random(SplitMix64);
 impl Random {
     /// Stream `index` of `seed`. Streams are independent, so one part can change without changing the others.
     pub(super) fn new(seed: u64, index: u64) -> Self {
-        Self(SplitMix64::new(mix(seed ^ mix(index.wrapping_add(0x5157_4c49_4e45)))))
+        Self(SplitMix64::new(mix(
+            seed ^ mix(index.wrapping_add(0x5157_4c49_4e45))
+        )))
     }
 
     /// An integer in 0 … n−1 (0 when n is 0).
@@ -44,8 +46,12 @@ mod tests {
     #[test]
     fn streams_of_a_seed_are_as_in_every_version() {
         let mut r = Random::new(1, 2);
-        let expected =
-            [0xbff0_3c8f_6f00_374e, 0xae6a_3a82_2371_dad8, 0xc544_66ba_2a8d_fc53, 0x5495_4d27_e350_ed73];
+        let expected = [
+            0xbff0_3c8f_6f00_374e,
+            0xae6a_3a82_2371_dad8,
+            0xc544_66ba_2a8d_fc53,
+            0x5495_4d27_e350_ed73,
+        ];
         assert_eq!([0; 4].map(|_: u64| r.0.bits()), expected);
     }
 
@@ -55,7 +61,10 @@ mod tests {
             let f = f32::from(k) / 50.0;
             let angle = f64::from(f) * std::f64::consts::TAU;
             let (c, s) = turn(f);
-            assert!((f64::from(c) - angle.cos()).abs() < 1e-7 && (f64::from(s) - angle.sin()).abs() < 1e-7);
+            assert!(
+                (f64::from(c) - angle.cos()).abs() < 1e-7
+                    && (f64::from(s) - angle.sin()).abs() < 1e-7
+            );
         }
     }
 

@@ -23,12 +23,27 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     // Triangles of the pillar, walls, doors and coarsest furniture of a room, and of the border.
     let least = 150 * rooms + 30 * (u64::from(cols) + u64::from(rows));
     let target = params.triangles.unwrap_or(rooms * PER_ROOM);
-    within(Kind::Rooms, "triangles for that many rooms", target, least, MAX_TRIANGLES)?;
-    let plan = Plan { origin: Vec3::ZERO, cols, rows, cell: 5.0, height: 2.8, thickness: 0.2 };
+    within(
+        Kind::Rooms,
+        "triangles for that many rooms",
+        target,
+        least,
+        MAX_TRIANGLES,
+    )?;
+    let plan = Plan {
+        origin: Vec3::ZERO,
+        cols,
+        rows,
+        cell: 5.0,
+        height: 2.8,
+        thickness: 0.2,
+    };
     let mut r = Random::new(params.seed, 0);
     let open = maze::carve(cols, rows, &mut r);
     b.object("floor".into(), |b| plan.plate(b, -0.2, 0.0, 0.0));
-    b.object("ceiling".into(), |b| plan.plate(b, plan.height, plan.height + 0.2, 0.0));
+    b.object("ceiling".into(), |b| {
+        plan.plate(b, plan.height, plan.height + 0.2, 0.0)
+    });
     for j in 0..=rows {
         for i in 0..=cols {
             b.object(format!("pillar {i} {j}"), |b| plan.pillar(b, i, j));

@@ -32,18 +32,39 @@ pub fn layout(params: &Params) -> Result<Vec<Vec<[f32; 2]>>, GenerateError> {
         (None, Some(total)) => {
             within(KIND, "--triangles", total, 140, MAX_TRIANGLES)?;
             let walls = (isqrt(total) / 16).clamp(2, 64);
-            [walls, ((total / (walls - 1)).saturating_sub(PER_WALL) / PER_SLIT).max(1)]
+            [
+                walls,
+                ((total / (walls - 1)).saturating_sub(PER_WALL) / PER_SLIT).max(1),
+            ]
         }
         (None, None) => [5, 4],
     };
     within(KIND, "walls of --grid", walls, 2, 10_000)?;
     within(KIND, "slits of --grid", slits, 1, 1_000_000)?;
     let size = (walls - 1) * (slits * PER_SLIT + PER_WALL);
-    within(KIND, "triangles of the walls and slits asked for", size, 1, MAX_TRIANGLES)?;
-    let width = within(KIND, "--slit-width", params.slit_width.unwrap_or(default_width(slits)), 1e-7, 0.1)?;
+    within(
+        KIND,
+        "triangles of the walls and slits asked for",
+        size,
+        1,
+        MAX_TRIANGLES,
+    )?;
+    let width = within(
+        KIND,
+        "--slit-width",
+        params.slit_width.unwrap_or(default_width(slits)),
+        1e-7,
+        0.1,
+    )?;
     // Each slit lies in the middle half of its own strip, so neighbours stay apart.
     let strip = 1.0 / slits as f32;
-    within(KIND, "--slit-width times the slits to a wall", width * slits as f32, 0.0, 0.25)?;
+    within(
+        KIND,
+        "--slit-width times the slits to a wall",
+        width * slits as f32,
+        0.0,
+        0.25,
+    )?;
     Ok((0..walls - 1)
         .map(|wall| {
             let mut r = Random::new(params.seed, wall);
@@ -76,7 +97,13 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
     }
     let back = walls.len();
     b.object("back wall".into(), |b| {
-        b.slab([0, 1, 2], &[-0.5, 0.5], &[-0.5, 0.5], depth(back), |_, _| false);
+        b.slab(
+            [0, 1, 2],
+            &[-0.5, 0.5],
+            &[-0.5, 0.5],
+            depth(back),
+            |_, _| false,
+        );
     });
     Ok(())
 }
@@ -88,13 +115,20 @@ mod tests {
 
     #[test]
     fn the_narrowest_slits_are_open_and_apart() {
-        let p = Params { grid: Some([4, 9]), slit_width: Some(1e-7), ..Params::default() };
+        let p = Params {
+            grid: Some([4, 9]),
+            slit_width: Some(1e-7),
+            ..Params::default()
+        };
         let layout = layout(&p).unwrap();
         assert_eq!((layout.len(), layout[0].len()), (3, 9));
         for wall in &layout {
             let cuts: Vec<f32> = wall.iter().flatten().copied().collect();
             assert!(cuts.windows(2).all(|w| w[0] < w[1]) && cuts[0] > -0.5 && cuts[17] < 0.5);
-            assert!(wall.iter().all(|[a, b]| f64::from(*b) - f64::from(*a) < 1.5e-7));
+            assert!(
+                wall.iter()
+                    .all(|[a, b]| f64::from(*b) - f64::from(*a) < 1.5e-7)
+            );
         }
         let s = generate(Kind::Slits, &p).unwrap();
         assert_eq!(u64::from(s.len()), 3 * (9 * PER_SLIT + PER_WALL) + 12);

@@ -26,8 +26,13 @@ const STOREY: f32 = 2.75;
 const THICK: f32 = 0.25;
 
 pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateError> {
-    let target =
-        within(Kind::Town, "--triangles", params.triangles.unwrap_or(DEFAULT), 2_000, MAX_TRIANGLES)?;
+    let target = within(
+        Kind::Town,
+        "--triangles",
+        params.triangles.unwrap_or(DEFAULT),
+        2_000,
+        MAX_TRIANGLES,
+    )?;
     let houses = (target / PER_HOUSE).max(2);
     let each = target / houses;
     let columns = isqrt(houses - 1) + 1;
@@ -49,7 +54,11 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
             3_000..12_000 => (2 + r.below(2), 2, 1),
             _ => (2 + r.below(3), 2 + r.below(2), 1 + r.below(3)),
         };
-        let corner = Vec3::new((house % columns) as f32 * LOT, 0.0, (house / columns) as f32 * LOT);
+        let corner = Vec3::new(
+            (house % columns) as f32 * LOT,
+            0.0,
+            (house / columns) as f32 * LOT,
+        );
         let plan = |storey: u32| Plan {
             origin: corner + Vec3::Y * (THICK + storey as f32 * (STOREY + THICK)),
             cols,
@@ -88,7 +97,16 @@ pub(super) fn build(b: &mut Builder, params: &Params) -> Result<(), GenerateErro
 /// One storey: its floor, pillars and walls; `front` is the column of the front door on the side of least z.
 fn build_storey(b: &mut Builder, r: &mut Random, plan: &Plan, front: Option<u32>) {
     // The lowest floor reaches below the ground, so that no two surfaces coincide there.
-    plan.plate(b, if front.is_some() { -2.0 * THICK } else { -THICK }, 0.0, 0.0);
+    plan.plate(
+        b,
+        if front.is_some() {
+            -2.0 * THICK
+        } else {
+            -THICK
+        },
+        0.0,
+        0.0,
+    );
     for j in 0..=plan.rows {
         for i in 0..=plan.cols {
             plan.pillar(b, i, j);
@@ -96,7 +114,11 @@ fn build_storey(b: &mut Builder, r: &mut Random, plan: &Plan, front: Option<u32>
     }
     for p in plan.places() {
         let is_front = !p.along_z && p.j == 0 && front == Some(p.i);
-        let wall = if is_front || !plan.is_outer(p) { Wall::Door } else { Wall::Window };
+        let wall = if is_front || !plan.is_outer(p) {
+            Wall::Door
+        } else {
+            Wall::Window
+        };
         plan.wall(b, p, wall, r);
     }
 }

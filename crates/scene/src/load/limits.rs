@@ -23,7 +23,10 @@ pub struct Limits {
 impl Default for Limits {
     /// 268 435 456 triangles (9.7 GB of vertices) and 4 194 304 objects.
     fn default() -> Self {
-        Self { triangles: 1 << 28, objects: 1 << 22 }
+        Self {
+            triangles: 1 << 28,
+            objects: 1 << 22,
+        }
     }
 }
 
@@ -54,7 +57,10 @@ pub(super) fn too_many_triangles(file: &str, element: String, limits: &Limits) -
     SceneError::bad(
         file,
         element,
-        format!("the scene has more than {} triangles with it", limits.triangles),
+        format!(
+            "the scene has more than {} triangles with it",
+            limits.triangles
+        ),
         "split the scene into parts, or use fewer instances",
     )
 }

@@ -26,13 +26,19 @@ pub(super) struct Mark {
 
 impl Mark {
     /// Opaque, because nothing says otherwise.
-    pub(super) const DEFAULT: Self = Self { kind: Kind::Opaque, reason: Cow::Borrowed(DEFAULT) };
+    pub(super) const DEFAULT: Self = Self {
+        kind: Kind::Opaque,
+        reason: Cow::Borrowed(DEFAULT),
+    };
     /// Hidden by the file. No rule changes this kind.
     pub(super) const HIDDEN: Self = Self::of(Kind::Hidden, "KHR_node_visibility");
 
     /// A kind for a reason that the program knows.
     pub(super) const fn of(kind: Kind, reason: &'static str) -> Self {
-        Self { kind, reason: Cow::Borrowed(reason) }
+        Self {
+            kind,
+            reason: Cow::Borrowed(reason),
+        }
     }
 }
 
@@ -49,8 +55,13 @@ enum Hit {
 
 /// The matcher of a glob. `*` matches any characters, `/` included, since names of objects contain it.
 fn matcher(glob: &str) -> Result<GlobMatcher, String> {
-    let built = GlobBuilder::new(glob).literal_separator(false).backslash_escape(true).build();
-    built.map(|g| g.compile_matcher()).map_err(|e| e.kind().to_string())
+    let built = GlobBuilder::new(glob)
+        .literal_separator(false)
+        .backslash_escape(true)
+        .build();
+    built
+        .map(|g| g.compile_matcher())
+        .map_err(|e| e.kind().to_string())
 }
 
 impl Rule {
@@ -62,7 +73,10 @@ impl Rule {
         if glob.len() > MAX_TEXT {
             return Err(format!("a glob has at most {MAX_TEXT} bytes"));
         }
-        matcher(glob).map(|_| Self { kind, glob: glob.to_owned() })
+        matcher(glob).map(|_| Self {
+            kind,
+            glob: glob.to_owned(),
+        })
     }
 }
 
@@ -82,7 +96,11 @@ pub(super) struct Marks {
 impl Marks {
     /// # Errors
     /// [`SceneError::Bad`] when a rule's glob is none.
-    pub(super) fn new(file: &str, rules: &[Rule], alpha_textures: bool) -> Result<Self, SceneError> {
+    pub(super) fn new(
+        file: &str,
+        rules: &[Rule],
+        alpha_textures: bool,
+    ) -> Result<Self, SceneError> {
         let compiled = rules.iter().map(|rule| {
             let matcher = matcher(&rule.glob).map_err(|why| {
                 SceneError::bad(
@@ -134,7 +152,10 @@ impl Marks {
             None => mark,
             Some(at) => {
                 let rule = &self.rules[at].0;
-                Mark { kind: rule.kind, reason: format!("--{} {}", rule.kind.name(), rule.glob).into() }
+                Mark {
+                    kind: rule.kind,
+                    reason: format!("--{} {}", rule.kind.name(), rule.glob).into(),
+                }
             }
         }
     }
@@ -214,9 +235,15 @@ impl Marks {
             }
         }
         let rules = self.rules.into_iter().map(|(rule, ..)| rule).collect();
-        let runs = self.runs.iter().map(|(count, mark)| (*count, mark.kind, &mark.reason));
-        let kinds =
-            if self.alpha.1 { Kinds::from_textures(runs, rules) } else { Kinds::from_runs(runs, rules) };
+        let runs = self
+            .runs
+            .iter()
+            .map(|(count, mark)| (*count, mark.kind, &mark.reason));
+        let kinds = if self.alpha.1 {
+            Kinds::from_textures(runs, rules)
+        } else {
+            Kinds::from_runs(runs, rules)
+        };
         (kinds, self.masks, self.warnings)
     }
 }
@@ -224,11 +251,17 @@ impl Marks {
 /// The names most like a glob without its wildcards.
 fn near(glob: &str, names: &BTreeSet<String>) -> Vec<String> {
     let plain = glob.replace(['*', '?'], "").to_lowercase();
-    let mut rated: Vec<(f64, &String)> =
-        names.iter().map(|n| (strsim::jaro_winkler(&plain, &n.to_lowercase()), n)).collect();
+    let mut rated: Vec<(f64, &String)> = names
+        .iter()
+        .map(|n| (strsim::jaro_winkler(&plain, &n.to_lowercase()), n))
+        .collect();
     rated.retain(|(similarity, _)| *similarity >= NEAR);
     rated.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
-    rated.into_iter().take(MOST_NEAR).map(|(_, n)| n.chars().take(80).collect()).collect()
+    rated
+        .into_iter()
+        .take(MOST_NEAR)
+        .map(|(_, n)| n.chars().take(80).collect())
+        .collect()
 }
 
 #[cfg(test)]
@@ -241,16 +274,30 @@ mod tests {
 
     #[test]
     fn the_last_rule_that_matches_a_name_goes_before_the_file() {
-        let rules = [rule(Kind::Opaque, "*"), rule(Kind::SeeThrough, "glass*"), rule(Kind::Moving, "Windw")];
+        let rules = [
+            rule(Kind::Opaque, "*"),
+            rule(Kind::SeeThrough, "glass*"),
+            rule(Kind::Moving, "Windw"),
+        ];
         let mut marks = Marks::new("test", &rules, false).unwrap();
         marks.push(3, &["hall/window#0", "glass pane"], &Mark::DEFAULT);
-        marks.push(2, &["hall/wall#0", "brick"], &Mark::of(Kind::Moving, "animated node"));
+        marks.push(
+            2,
+            &["hall/wall#0", "brick"],
+            &Mark::of(Kind::Moving, "animated node"),
+        );
         let (kinds, _, warnings) = marks.finish();
-        assert_eq!((0..5).map(|t| kinds.kind(t) as u8).collect::<Vec<_>>(), [1, 1, 1, 0, 0]);
+        assert_eq!(
+            (0..5).map(|t| kinds.kind(t) as u8).collect::<Vec<_>>(),
+            [1, 1, 1, 0, 0]
+        );
         assert_eq!(kinds.counts()[1].reason, "--see-through glass*");
         assert_eq!(kinds.rules(), rules);
         assert_eq!(warnings.len(), 1);
-        assert!(warnings[0].starts_with("--moving \"Windw\" matches no object"), "{warnings:?}");
+        assert!(
+            warnings[0].starts_with("--moving \"Windw\" matches no object"),
+            "{warnings:?}"
+        );
     }
 
     #[test]

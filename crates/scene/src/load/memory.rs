@@ -23,14 +23,27 @@ pub fn from_memory(
         return Err(too_many_objects(name, "mesh".to_owned(), &options.limits));
     }
     let mut marks = Marks::new(name, &options.rules, options.alpha_textures)?;
-    objects.iter().for_each(|o| marks.push(o.count, &[&o.name], &Mark::DEFAULT));
+    objects
+        .iter()
+        .for_each(|o| marks.push(o.count, &[&o.name], &Mark::DEFAULT));
     let mut names = Names::default();
-    objects.iter_mut().for_each(|o| o.name = names.unique(std::mem::take(&mut o.name)));
+    objects
+        .iter_mut()
+        .for_each(|o| o.name = names.unique(std::mem::take(&mut o.name)));
     let scene = Scene::new(name, triangles, objects)?;
     scene.check_reach(name)?;
-    let sides = if options.cull_back_faces { marks.sides(scene.len()) } else { Sides::both() };
+    let sides = if options.cull_back_faces {
+        marks.sides(scene.len())
+    } else {
+        Sides::both()
+    };
     let (kinds, masks, warnings) = marks.finish();
-    Ok(Loaded { scene: scene.with_masks(name, kinds, masks)?.with_sides(name, sides)?, warnings })
+    Ok(Loaded {
+        scene: scene
+            .with_masks(name, kinds, masks)?
+            .with_sides(name, sides)?,
+        warnings,
+    })
 }
 
 #[cfg(test)]
@@ -42,13 +55,35 @@ mod tests {
 
     #[test]
     fn rules_match_the_names_of_objects() {
-        let triangle = Triangle { v: [Vec3::ZERO, Vec3::X, Vec3::Y] };
-        let object = |name: &str, first, count| Object { name: name.to_owned(), first, count };
-        let mesh =
-            (vec![triangle; 3], vec![object("wall", 0, 1), object("wall", 1, 1), object("glass pane", 2, 1)]);
-        let rules =
-            vec![Rule::new(Kind::SeeThrough, "glass*").unwrap(), Rule::new(Kind::Door, "gate").unwrap()];
-        let loaded = from_memory("mesh", mesh, &Options { rules, ..Options::default() }).unwrap();
+        let triangle = Triangle {
+            v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+        };
+        let object = |name: &str, first, count| Object {
+            name: name.to_owned(),
+            first,
+            count,
+        };
+        let mesh = (
+            vec![triangle; 3],
+            vec![
+                object("wall", 0, 1),
+                object("wall", 1, 1),
+                object("glass pane", 2, 1),
+            ],
+        );
+        let rules = vec![
+            Rule::new(Kind::SeeThrough, "glass*").unwrap(),
+            Rule::new(Kind::Door, "gate").unwrap(),
+        ];
+        let loaded = from_memory(
+            "mesh",
+            mesh,
+            &Options {
+                rules,
+                ..Options::default()
+            },
+        )
+        .unwrap();
         let kinds: Vec<Kind> = (0..3).map(|id| loaded.scene.kinds().kind(id)).collect();
         assert_eq!(kinds, [Kind::Opaque, Kind::Opaque, Kind::SeeThrough]);
         assert_eq!(loaded.scene.objects()[1].name, "wall#2");

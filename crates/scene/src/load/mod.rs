@@ -101,7 +101,16 @@ pub fn load_bytes_with(
         Kind::Glb => gltf::parse_glb(name, bytes, base_dir, limits, &mut marks),
     }?;
     scene.check_reach(name)?;
-    let sides = if options.cull_back_faces { marks.sides(scene.len()) } else { Sides::both() };
+    let sides = if options.cull_back_faces {
+        marks.sides(scene.len())
+    } else {
+        Sides::both()
+    };
     let (kinds, masks, warnings) = marks.finish();
-    Ok(Loaded { scene: scene.with_masks(name, kinds, masks)?.with_sides(name, sides)?, warnings })
+    Ok(Loaded {
+        scene: scene
+            .with_masks(name, kinds, masks)?
+            .with_sides(name, sides)?,
+        warnings,
+    })
 }

@@ -32,23 +32,33 @@ impl Materials {
         let text = String::from_utf8_lossy(names);
         // A name may contain spaces, though the format separates several names by them.
         let whole = base_dir.is_some_and(|dir| below(&text).is_some_and(|n| dir.join(n).is_file()));
-        let each: Vec<&str> = if whole { vec![&text] } else { text.split_ascii_whitespace().collect() };
+        let each: Vec<&str> = if whole {
+            vec![&text]
+        } else {
+            text.split_ascii_whitespace().collect()
+        };
         for name in each {
             let shown: String = name.chars().take(200).collect();
             let missing = |marks: &mut Marks, why: &str| {
-                marks
-                    .warn(format!("the material library {shown:?} {why}; its materials are taken as opaque"));
+                marks.warn(format!(
+                    "the material library {shown:?} {why}; its materials are taken as opaque"
+                ));
             };
             let Some(dir) = base_dir else {
                 missing(marks, "is not read, because the scene is not a file");
                 continue;
             };
             let Some(relative) = below(name) else {
-                missing(marks, "is not read, because it is outside of the scene's folder");
+                missing(
+                    marks,
+                    "is not read, because it is outside of the scene's folder",
+                );
                 continue;
             };
             match read_file(&dir.join(relative), MOST_BYTES + 1) {
-                Ok(bytes) if bytes.len() as u64 > MOST_BYTES => missing(marks, "is larger than 64 MiB"),
+                Ok(bytes) if bytes.len() as u64 > MOST_BYTES => {
+                    missing(marks, "is larger than 64 MiB")
+                }
                 Ok(bytes) => {
                     self.any = true;
                     self.parse(&bytes);
@@ -61,15 +71,30 @@ impl Materials {
     fn parse(&mut self, bytes: &[u8]) {
         let mut current: Option<Material> = None;
         for line in bytes.split(|b| matches!(b, b'\n' | b'\r')) {
-            let line = line.split(|b| *b == b'#').next().unwrap_or_default().trim_ascii();
-            let at = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
+            let line = line
+                .split(|b| *b == b'#')
+                .next()
+                .unwrap_or_default()
+                .trim_ascii();
+            let at = line
+                .iter()
+                .position(u8::is_ascii_whitespace)
+                .unwrap_or(line.len());
             let (word, rest) = (&line[..at], line[at..].trim_ascii());
             if word == b"newmtl" {
-                self.keep(current.replace(Material { name: rest.to_vec(), ..Material::default() }));
+                self.keep(current.replace(Material {
+                    name: rest.to_vec(),
+                    ..Material::default()
+                }));
                 continue;
             }
-            let Some(material) = &mut current else { continue };
-            let last = rest.rsplit(u8::is_ascii_whitespace).next().unwrap_or_default();
+            let Some(material) = &mut current else {
+                continue;
+            };
+            let last = rest
+                .rsplit(u8::is_ascii_whitespace)
+                .next()
+                .unwrap_or_default();
             let number = || std::str::from_utf8(last).ok()?.parse::<f64>().ok();
             match word {
                 b"d" => material.dissolve = number(),
@@ -107,7 +132,12 @@ impl Material {
             // Exporters disagree on what Tr 1 means; with d they give both.
             (None, Some(t)) if t > 0.0 => Some("Tr"),
             _ if self.map => Some("map_d"),
-            _ if self.model.is_some_and(|m| [4.0, 6.0, 7.0, 9.0].contains(&m)) => Some("illum"),
+            _ if self
+                .model
+                .is_some_and(|m| [4.0, 6.0, 7.0, 9.0].contains(&m)) =>
+            {
+                Some("illum")
+            }
             _ => None,
         };
         reason.map_or(Mark::DEFAULT, |r| Mark::of(Kind::SeeThrough, r))
@@ -117,7 +147,9 @@ impl Material {
 /// The path below the scene's folder; none if it leads elsewhere.
 fn below(name: &str) -> Option<&Path> {
     let path = Path::new(name);
-    let inside = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    let inside = path
+        .components()
+        .all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
     (inside && !name.is_empty()).then_some(path)
 }
 
@@ -132,7 +164,10 @@ mod tests {
                     d -halo 0.2\nnewmtl g\nd wrong\n";
         let mut m = Materials::default();
         m.parse(text.as_bytes());
-        let reason = |name: &str| m.get(name.as_bytes()).map(|k| (k.kind, k.reason.to_string()));
+        let reason = |name: &str| {
+            m.get(name.as_bytes())
+                .map(|k| (k.kind, k.reason.to_string()))
+        };
         let glass = |why: &str| Some((Kind::SeeThrough, why.to_owned()));
         assert_eq!(reason("a"), glass("d"));
         assert_eq!(reason("b"), glass("Tr"));

@@ -34,7 +34,9 @@ mod tests {
     #[test]
     fn repeated_names_are_numbered_around_taken_ones() {
         let mut n = Names::default();
-        let got: Vec<_> = ["a", "a#2", "a", "a", "b"].map(|s| n.unique(s.into())).into();
+        let got: Vec<_> = ["a", "a#2", "a", "a", "b"]
+            .map(|s| n.unique(s.into()))
+            .into();
         assert_eq!(got, ["a", "a#2", "a#3", "a#4", "b"]);
     }
 }

@@ -108,7 +108,9 @@ pub(super) fn parse(
 
 /// The line without its continuation mark, if it has one.
 fn continued(line: &[u8]) -> Option<&[u8]> {
-    line.trim_ascii_end().strip_suffix(b"\\").filter(|l| !l.contains(&b'#'))
+    line.trim_ascii_end()
+        .strip_suffix(b"\\")
+        .filter(|l| !l.contains(&b'#'))
 }
 
 /// The words of a statement, between white space.
@@ -119,7 +121,10 @@ impl<'a> Iterator for Words<'a> {
 
     fn next(&mut self) -> Option<&'a [u8]> {
         let text = self.0.trim_ascii_start();
-        let len = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
+        let len = text
+            .iter()
+            .position(u8::is_ascii_whitespace)
+            .unwrap_or(text.len());
         let (word, rest) = text.split_at(len);
         self.0 = rest;
         (len > 0).then_some(word)
@@ -143,21 +148,37 @@ impl Reader<'_> {
             Some(b"v") => self.vertex(line, words),
             Some(b"f") => self.face(line, words),
             Some(word @ (b"o" | b"g")) => {
-                let name = text.trim_ascii().strip_prefix(word).unwrap_or_default().trim_ascii();
+                let name = text
+                    .trim_ascii()
+                    .strip_prefix(word)
+                    .unwrap_or_default()
+                    .trim_ascii();
                 let name = String::from_utf8_lossy(name).into_owned();
                 self.end_run();
-                *(if word == b"o" { &mut self.object } else { &mut self.group }) = name;
+                *(if word == b"o" {
+                    &mut self.object
+                } else {
+                    &mut self.group
+                }) = name;
                 self.opens = true;
                 Ok(())
             }
             Some(b"mtllib") => {
-                let names = text.trim_ascii().strip_prefix(b"mtllib").unwrap_or_default().trim_ascii();
+                let names = text
+                    .trim_ascii()
+                    .strip_prefix(b"mtllib")
+                    .unwrap_or_default()
+                    .trim_ascii();
                 self.materials.read(self.base_dir, names, self.marks);
                 Ok(())
             }
             Some(b"usemtl") => {
                 self.end_run();
-                let name = text.trim_ascii().strip_prefix(b"usemtl").unwrap_or_default().trim_ascii();
+                let name = text
+                    .trim_ascii()
+                    .strip_prefix(b"usemtl")
+                    .unwrap_or_default()
+                    .trim_ascii();
                 self.material = name.to_vec();
                 self.mark = self.materials.get(name).cloned().unwrap_or_else(|| {
                     self.marks.warn(match self.materials.any {
@@ -193,10 +214,19 @@ impl Reader<'_> {
             *c = std::str::from_utf8(word)
                 .ok()
                 .and_then(|w| w.parse().ok())
-                .ok_or_else(|| self.bad(line, format!("\"{}\" is not a number", show(word)), EXPORT_AGAIN))?;
+                .ok_or_else(|| {
+                    self.bad(
+                        line,
+                        format!("\"{}\" is not a number", show(word)),
+                        EXPORT_AGAIN,
+                    )
+                })?;
             if !c.is_finite() {
-                let what =
-                    format!("vertex {}: its {axis}, {}, is not finite", self.vertices.len(), show(word));
+                let what = format!(
+                    "vertex {}: its {axis}, {}, is not finite",
+                    self.vertices.len(),
+                    show(word)
+                );
                 return Err(self.bad(line, what, REPAIR_VERTEX));
             }
         }
@@ -212,21 +242,37 @@ impl Reader<'_> {
         }
         if self.face.len() < 3 {
             let reason = format!("the face has {} corners", self.face.len());
-            return Err(self.bad(line, reason, "remove faces of fewer than three corners and export again"));
+            return Err(self.bad(
+                line,
+                reason,
+                "remove faces of fewer than three corners and export again",
+            ));
         }
         if self.triangles.len() + self.face.len() - 2 > self.limits.triangles as usize {
-            return Err(too_many_triangles(self.file, format!("line {line}"), self.limits));
+            return Err(too_many_triangles(
+                self.file,
+                format!("line {line}"),
+                self.limits,
+            ));
         }
         if self.opens {
             self.open_object(line)?;
         }
         for i in 1..self.face.len() - 1 {
             let mut v = [Vec3::ZERO; 3];
-            for (corner, &vertex) in [self.face[0], self.face[i], self.face[i + 1]].iter().enumerate() {
+            for (corner, &vertex) in [self.face[0], self.face[i], self.face[i + 1]]
+                .iter()
+                .enumerate()
+            {
                 match self.vertices.get(vertex) {
                     Some(p) => v[corner] = *p,
                     None => {
-                        self.forward.push(Forward { triangle: self.triangles.len(), corner, vertex, line });
+                        self.forward.push(Forward {
+                            triangle: self.triangles.len(),
+                            corner,
+                            vertex,
+                            line,
+                        });
                     }
                 }
             }
@@ -240,10 +286,14 @@ impl Reader<'_> {
     /// further down.
     fn corner(&self, line: usize, word: &[u8]) -> Result<usize, SceneError> {
         let mut parts = word.split(|b| *b == b'/');
-        let number =
-            parts.next().and_then(|w| std::str::from_utf8(w).ok()).and_then(|w| w.parse::<i64>().ok());
+        let number = parts
+            .next()
+            .and_then(|w| std::str::from_utf8(w).ok())
+            .and_then(|w| w.parse::<i64>().ok());
         let rest_ok = parts.clone().count() <= 2
-            && parts.flatten().all(|&b| b.is_ascii_digit() || matches!(b, b'-' | b'+'));
+            && parts
+                .flatten()
+                .all(|&b| b.is_ascii_digit() || matches!(b, b'-' | b'+'));
         let (Some(number), true) = (number, rest_ok) else {
             let reason = format!("\"{}\" is not a corner of a face", show(word));
             return Err(self.bad(line, reason, EXPORT_AGAIN));
@@ -253,17 +303,24 @@ impl Reader<'_> {
             1.. => usize::try_from(number - 1).ok(),
             0 => None,
             // Counted back from the last vertex read.
-            _ => usize::try_from(number.unsigned_abs()).ok().and_then(|back| known.checked_sub(back)),
+            _ => usize::try_from(number.unsigned_abs())
+                .ok()
+                .and_then(|back| known.checked_sub(back)),
         };
         index.ok_or_else(|| {
-            let reason = format!("the face names vertex {number}, but {known} vertices are known there");
+            let reason =
+                format!("the face names vertex {number}, but {known} vertices are known there");
             self.bad(line, reason, EXPORT_AGAIN)
         })
     }
 
     fn open_object(&mut self, line: usize) -> Result<(), SceneError> {
         if self.objects.len() >= self.limits.objects as usize {
-            return Err(too_many_objects(self.file, format!("line {line}"), self.limits));
+            return Err(too_many_objects(
+                self.file,
+                format!("line {line}"),
+                self.limits,
+            ));
         }
         self.close_object();
         let name = match (self.object.is_empty(), self.group.is_empty()) {
@@ -274,7 +331,11 @@ impl Reader<'_> {
         };
         let name = self.names.unique(name);
         // The number of triangles is below `limits.triangles`, a u32.
-        self.objects.push(Object { name, first: self.triangles.len() as u32, count: 0 });
+        self.objects.push(Object {
+            name,
+            first: self.triangles.len() as u32,
+            count: 0,
+        });
         self.opens = false;
         Ok(())
     }

@@ -64,15 +64,22 @@ const OTHERS: &[(&[u8], &str)] = &[
     (b"Kaydara FBX Binary", "an FBX file"),
     (b"BLENDER", "a Blender file"),
     (b"solid ", "an STL file"),
-    (b"<", "XML or HTML (perhaps COLLADA, or a web page saved by mistake)"),
+    (
+        b"<",
+        "XML or HTML (perhaps COLLADA, or a web page saved by mistake)",
+    ),
     (b"SLSCENE1", "a canonical scene of this program"),
-    (b"version https://git-lfs", "a Git LFS pointer (the real file was not fetched)"),
+    (
+        b"version https://git-lfs",
+        "a Git LFS pointer (the real file was not fetched)",
+    ),
     (b"PVS", "a visibility result"),
 ];
 
 /// OBJ statements that open a line; a text with one of these near its start is taken for OBJ.
-const OBJ_WORDS: &[&[u8]] =
-    &[b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"p", b"mtllib", b"usemtl"];
+const OBJ_WORDS: &[&[u8]] = &[
+    b"v", b"vt", b"vn", b"vp", b"f", b"o", b"g", b"s", b"l", b"p", b"mtllib", b"usemtl",
+];
 
 /// How many bytes of a text are looked at for an OBJ statement.
 const LOOK: usize = 1 << 16;
@@ -80,7 +87,12 @@ const LOOK: usize = 1 << 16;
 /// The kind of `bytes`, which must agree with the extension of `name` where that is a known one.
 pub(super) fn kind_of(name: &str, bytes: &[u8]) -> Result<Kind, SceneError> {
     if bytes.is_empty() {
-        return Err(SceneError::bad(name, "whole file", "it is empty", "export or copy it again"));
+        return Err(SceneError::bad(
+            name,
+            "whole file",
+            "it is empty",
+            "export or copy it again",
+        ));
     }
     let named = Kind::from_extension(name);
     match (named, by_content(bytes)) {
@@ -91,8 +103,16 @@ pub(super) fn kind_of(name: &str, bytes: &[u8]) -> Result<Kind, SceneError> {
         (Some(n), Ok(kind)) => Err(SceneError::bad(
             name,
             "whole file",
-            format!("its name says {} but it looks like {}", n.extension(), kind.describe()),
-            format!("rename it to {}, or export it again as {}", kind.extension(), n.extension()),
+            format!(
+                "its name says {} but it looks like {}",
+                n.extension(),
+                kind.describe()
+            ),
+            format!(
+                "rename it to {}, or export it again as {}",
+                kind.extension(),
+                n.extension()
+            ),
         )),
         (Some(n), Err(looks)) => Err(SceneError::bad(
             name,
@@ -132,5 +152,9 @@ fn by_content(bytes: &[u8]) -> Result<Kind, &'static str> {
         let word = line.split(u8::is_ascii_whitespace).find(|w| !w.is_empty());
         word.is_some_and(|w| OBJ_WORDS.contains(&w))
     };
-    if head.split(|b| *b == b'\n' || *b == b'\r').any(is_obj) { Ok(Kind::Obj) } else { Err("text") }
+    if head.split(|b| *b == b'\n' || *b == b'\r').any(is_obj) {
+        Ok(Kind::Obj)
+    } else {
+        Err("text")
+    }
 }

@@ -16,7 +16,10 @@ impl Default for Gltf {
             "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
             "meshes": [], "accessors": [], "bufferViews": [], "buffers": []
         });
-        Self { json, bin: Vec::new() }
+        Self {
+            json,
+            bin: Vec::new(),
+        }
     }
 }
 
@@ -31,12 +34,16 @@ impl Gltf {
         let offset = self.bin.len();
         self.bin.extend(bytes);
         self.bin.resize(self.bin.len().next_multiple_of(4), 0);
-        self.add("bufferViews", json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}))
+        self.add(
+            "bufferViews",
+            json!({"buffer": 0, "byteOffset": offset, "byteLength": bytes.len()}),
+        )
     }
 
     pub fn accessor(&mut self, bytes: &[u8], component: u32, shape: &str, count: usize) -> usize {
         let view = self.view(bytes);
-        let a = json!({"bufferView": view, "componentType": component, "type": shape, "count": count});
+        let a =
+            json!({"bufferView": view, "componentType": component, "type": shape, "count": count});
         self.add("accessors", a)
     }
 
@@ -57,7 +64,10 @@ impl Gltf {
             5123 => 2,
             _ => 4,
         };
-        let bytes: Vec<u8> = i.iter().flat_map(|i| i.to_le_bytes()[..width].to_vec()).collect();
+        let bytes: Vec<u8> = i
+            .iter()
+            .flat_map(|i| i.to_le_bytes()[..width].to_vec())
+            .collect();
         self.accessor(&bytes, component, "SCALAR", i.len())
     }
 
@@ -80,7 +90,10 @@ impl Gltf {
 
 /// A GLB container.
 pub fn glb(json: &[u8], bin: &[u8]) -> Vec<u8> {
-    let (j, b) = (json.len().next_multiple_of(4), bin.len().next_multiple_of(4));
+    let (j, b) = (
+        json.len().next_multiple_of(4),
+        bin.len().next_multiple_of(4),
+    );
     let mut out = b"glTF".to_vec();
     for n in [2, 12 + 8 + j + 8 + b, j] {
         out.extend((n as u32).to_le_bytes());
@@ -109,7 +122,10 @@ pub fn square() -> Gltf {
 /// A sparse, strided, transformed scene with a strip and a fan: something of everything for mutations.
 pub fn rich() -> Gltf {
     let mut g = square();
-    let (i, v) = (g.view(&[1, 0, 3, 0]), g.view(bytemuck::cast_slice(&[5f32, 0., 0., 0., 5., 0.])));
+    let (i, v) = (
+        g.view(&[1, 0, 3, 0]),
+        g.view(bytemuck::cast_slice(&[5f32, 0., 0., 0., 5., 0.])),
+    );
     g.json["accessors"][0]["sparse"] = json!({
         "count": 2, "indices": {"bufferView": i, "componentType": 5123}, "values": {"bufferView": v}
     });
@@ -154,7 +170,8 @@ pub fn packed_square() -> Gltf {
     let n = vertex::buffer::encode_vertex_buffer(&mut v, &positions, Default::default()).unwrap();
     compress(&mut g, 0, &v[..n], "ATTRIBUTES", "NONE", 12);
     let mut i = vec![0; index::buffer::encode_index_buffer_bound(6, 4)];
-    let n = index::buffer::encode_index_buffer(&mut i, &[0, 1, 2, 0, 2, 3], Default::default()).unwrap();
+    let n = index::buffer::encode_index_buffer(&mut i, &[0, 1, 2, 0, 2, 3], Default::default())
+        .unwrap();
     compress(&mut g, 1, &i[..n], "TRIANGLES", "NONE", 2);
     g
 }
@@ -167,7 +184,9 @@ pub fn draco(
     faces: &[[u32; 3]],
     options: &draco_core::EncoderOptions,
 ) -> (Vec<u8>, usize, usize) {
-    use draco_core::{DataType, EncoderBuffer, GeometryAttributeType, Mesh, MeshEncoder, PointAttribute};
+    use draco_core::{
+        DataType, EncoderBuffer, GeometryAttributeType, Mesh, MeshEncoder, PointAttribute,
+    };
     let mut mesh = Mesh::new();
     mesh.set_num_points(positions.len());
     let mut attribute = |kind, components: u8, values: &[f32]| {
@@ -187,7 +206,9 @@ pub fn draco(
     encoder.encode(options, &mut out).unwrap();
     let mut read = Mesh::new();
     let mut buffer = draco_core::DecoderBuffer::new(out.data());
-    draco_core::MeshDecoder::new().decode(&mut buffer, &mut read).unwrap();
+    draco_core::MeshDecoder::new()
+        .decode(&mut buffer, &mut read)
+        .unwrap();
     (out.data().to_vec(), read.num_points(), read.num_faces())
 }
 
@@ -217,7 +238,12 @@ pub fn compress_primitive(
 /// [`square`] compressed with Draco.
 pub fn draco_square() -> Gltf {
     let mut g = square();
-    let packed = draco(&SQUARE, &[], &[[0, 1, 2], [0, 2, 3]], &draco_core::EncoderOptions::new());
+    let packed = draco(
+        &SQUARE,
+        &[],
+        &[[0, 1, 2], [0, 2, 3]],
+        &draco_core::EncoderOptions::new(),
+    );
     compress_primitive(&mut g, 0, &packed, json!({"POSITION": 0}));
     g
 }
@@ -253,7 +279,10 @@ pub fn binary_ply(big: bool, vertices: &[[f32; 3]], last: i32) -> Vec<u8> {
 
 /// The vertices of all triangles as plain arrays.
 pub fn soup(s: &Scene) -> Vec<[[f32; 3]; 3]> {
-    s.triangles().iter().map(|t| t.v.map(|v| v.to_array())).collect()
+    s.triangles()
+        .iter()
+        .map(|t| t.v.map(|v| v.to_array()))
+        .collect()
 }
 
 /// The triangles of `points` by their indices.
@@ -267,7 +296,11 @@ pub fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(png::ColorType::GrayscaleAlpha);
     let texels: Vec<u8> = alpha.iter().flat_map(|a| [0, *a]).collect();
-    encoder.write_header().unwrap().write_image_data(&texels).unwrap();
+    encoder
+        .write_header()
+        .unwrap()
+        .write_image_data(&texels)
+        .unwrap();
     out
 }
 
@@ -276,7 +309,9 @@ pub fn png([width, height]: [u32; 2], alpha: &[u8]) -> Vec<u8> {
 pub fn card(open: &[usize], change: impl FnOnce(&mut Gltf)) -> Gltf {
     let mut g = square();
     let uv = g.pairs(&[[0., 1.], [1., 1.], [1., 0.], [0., 0.]]);
-    let alpha: Vec<u8> = (0..8).map(|t| if open.contains(&t) { 0 } else { 255 }).collect();
+    let alpha: Vec<u8> = (0..8)
+        .map(|t| if open.contains(&t) { 0 } else { 255 })
+        .collect();
     let view = g.view(&png([4, 2], &alpha));
     g.json["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
     g.json["textures"] = json!([{"source": 0}]);

@@ -51,7 +51,12 @@ impl Cutter {
         let plane = local.plane(self.plane, &self.corners);
         let c = self.corners;
         let loops = (0..3)
-            .map(|i| (local.point(c[i]), local.plane(self.edges[i], &[c[i], c[(i + 1) % 3]])))
+            .map(|i| {
+                (
+                    local.point(c[i]),
+                    local.plane(self.edges[i], &[c[i], c[(i + 1) % 3]]),
+                )
+            })
             .collect();
         Polygon { plane, loops }
     }
@@ -75,7 +80,11 @@ impl Cuts {
 
     /// Cuts a tetrahedron by triangles in the given order. Triangles that do not pass through its inside do
     /// nothing.
-    pub fn new(local: &mut Local<'_>, tetrahedron: Corners, cutters: impl Iterator<Item = Cutter>) -> Self {
+    pub fn new(
+        local: &mut Local<'_>,
+        tetrahedron: Corners,
+        cutters: impl Iterator<Item = Cutter>,
+    ) -> Self {
         let mut tree = Self::default();
         let inner: [i8; 4] = std::array::from_fn(|k| {
             let corner = local.point(tetrahedron.points[k]);
@@ -124,7 +133,11 @@ impl Cuts {
 
     fn cut(&mut self, plane: u32, parent: (u32, u8), id: u32) -> u32 {
         let new = self.cuts.len() as u32;
-        self.cuts.push(Cut { plane, children: [NONE; 2], parent });
+        self.cuts.push(Cut {
+            plane,
+            children: [NONE; 2],
+            parent,
+        });
         self.triangles.push((new, id));
         new
     }
@@ -132,7 +145,11 @@ impl Cuts {
     /// Numbers the parts: what is in front of a cut before what is behind it.
     fn number_parts(&mut self) {
         let mut parts = 0;
-        let mut todo = if self.cuts.is_empty() { vec![] } else { vec![(0u32, 1u8), (0, 0)] };
+        let mut todo = if self.cuts.is_empty() {
+            vec![]
+        } else {
+            vec![(0u32, 1u8), (0, 0)]
+        };
         while let Some((at, side)) = todo.pop() {
             let child = &mut self.cuts[at as usize].children[usize::from(side)];
             if *child == NONE {

@@ -42,20 +42,35 @@ pub fn cells(
 ) -> Result<(Cells, Counts), CellsError> {
     all.check(surfaces)?;
     let meetings = meetings(surfaces, all)?;
-    let bytes =
-        all.tetrahedra.len() as u64 * BYTES_A_TETRAHEDRON + meetings.inside.len() as u64 * BYTES_A_MEETING;
+    let bytes = all.tetrahedra.len() as u64 * BYTES_A_TETRAHEDRON
+        + meetings.inside.len() as u64 * BYTES_A_MEETING;
     watch.needs(bytes).map_err(CellsError::Memory)?;
     let mut numbers = Numbers::new(surfaces, all, &meetings);
     let table = std::mem::take(&mut numbers.table);
-    let work = Work { surfaces, all, meetings: &meetings, numbers: &numbers, watch };
+    let work = Work {
+        surfaces,
+        all,
+        meetings: &meetings,
+        numbers: &numbers,
+        watch,
+    };
     let world = World::new(all.points, &table.planes);
-    let mut counts = Counts { whole: distinct(&meetings.whole), ..Counts::default() };
+    let mut counts = Counts {
+        whole: distinct(&meetings.whole),
+        ..Counts::default()
+    };
     counts.meetings = meetings.inside.len() as u64;
     let cuts = work.cut(&world, &mut counts.decisions);
     counts.cut = cuts.iter().filter(|(_, c)| !c.cuts.is_empty()).count() as u32;
     let first_cells = first_cells(all, &cuts)?;
     let mut cells = Cells::default();
-    work.gather(&world, &cuts, &first_cells, &mut cells, &mut counts.decisions)?;
+    work.gather(
+        &world,
+        &cuts,
+        &first_cells,
+        &mut cells,
+        &mut counts.decisions,
+    )?;
     drop(cuts);
     cells.points = all.points.to_vec();
     cells.planes = table.planes;
@@ -75,14 +90,20 @@ fn distinct(whole: &[(u32, u32)]) -> u32 {
 /// The number of each tetrahedron's first cell, and of the one after the last.
 fn first_cells(all: &Tetrahedra<'_>, cuts: &[(u32, Cuts)]) -> Result<Vec<u32>, CellsError> {
     let mut first = vec![1u64; all.tetrahedra.len() + 1];
-    cuts.iter().for_each(|(t, c)| first[*t as usize] = u64::from(c.parts()));
+    cuts.iter()
+        .for_each(|(t, c)| first[*t as usize] = u64::from(c.parts()));
     let mut at = 0u64;
     for n in &mut first {
         (*n, at) = (at, at + *n);
     }
     first
         .iter()
-        .map(|n| u32::try_from(*n).ok().filter(|n| *n < 1 << 30).ok_or(CellsError::TooMany("cells")))
+        .map(|n| {
+            u32::try_from(*n)
+                .ok()
+                .filter(|n| *n < 1 << 30)
+                .ok_or(CellsError::TooMany("cells"))
+        })
         .collect()
 }
 
@@ -104,10 +125,15 @@ impl Numbers {
         let mut faces: Vec<u32> = meetings.within.iter().map(|(face, _)| *face).collect();
         let mut cut: Vec<u32> = meetings.inside.iter().map(|(t, _)| *t).collect();
         cut.dedup();
-        faces.extend(cut.iter().flat_map(|t| (0..4).map(|k| all.number_of_face(*t, k))));
+        faces.extend(
+            cut.iter()
+                .flat_map(|t| (0..4).map(|k| all.number_of_face(*t, k))),
+        );
         // The edges of a divided face lie in the other faces of the tetrahedron that it is divided in.
-        let beside: Vec<u32> =
-            faces.par_iter().flat_map_iter(|f| (0..4).map(move |k| all.number_of_face(f / 4, k))).collect();
+        let beside: Vec<u32> = faces
+            .par_iter()
+            .flat_map_iter(|f| (0..4).map(move |k| all.number_of_face(f / 4, k)))
+            .collect();
         faces.extend(beside);
         faces.par_sort_unstable();
         faces.dedup();
@@ -130,13 +156,35 @@ impl Numbers {
         let mut table = PlaneTable::default();
         let mut number = |(plane, name)| table.number(plane, name, points);
         // Planes of triangles first: those of faces that are equal then have a triangle's three points.
-        let own: Vec<u32> = of_triangles.iter().map(|planes| number(planes[0])).collect();
-        let triangles = ids.iter().zip(own.iter().zip(&of_triangles)).map(|(id, (own, planes))| {
-            (*id, [*own, number(planes[1]), number(planes[2]), number(planes[3])])
-        });
+        let own: Vec<u32> = of_triangles
+            .iter()
+            .map(|planes| number(planes[0]))
+            .collect();
+        let triangles = ids
+            .iter()
+            .zip(own.iter().zip(&of_triangles))
+            .map(|(id, (own, planes))| {
+                (
+                    *id,
+                    [
+                        *own,
+                        number(planes[1]),
+                        number(planes[2]),
+                        number(planes[3]),
+                    ],
+                )
+            });
         let triangles = triangles.collect();
-        let faces = faces.iter().zip(of_faces).map(|(f, plane)| (*f, number(plane))).collect();
-        Self { table, triangles, faces }
+        let faces = faces
+            .iter()
+            .zip(of_faces)
+            .map(|(f, plane)| (*f, number(plane)))
+            .collect();
+        Self {
+            table,
+            triangles,
+            faces,
+        }
     }
 }
 
@@ -150,15 +198,30 @@ struct Work<'a> {
 
 impl Work<'_> {
     fn cutter(&self, id: u32) -> Cutter {
-        let [plane, a, b, c] = self.numbers.triangles.get(&id).copied().unwrap_or([NONE; 4]);
-        Cutter { id, corners: self.surfaces.triangles[id as usize], plane, edges: [a, b, c] }
+        let [plane, a, b, c] = self
+            .numbers
+            .triangles
+            .get(&id)
+            .copied()
+            .unwrap_or([NONE; 4]);
+        Cutter {
+            id,
+            corners: self.surfaces.triangles[id as usize],
+            plane,
+            edges: [a, b, c],
+        }
     }
 
     /// The corners of a tetrahedron all of whose faces have numbered planes.
     fn corners(&self, local: &mut Local<'_>, t: u32) -> Corners {
         let points = self.all.tetrahedra[t as usize];
         let faces = std::array::from_fn(|k| {
-            let number = self.numbers.faces.get(&self.all.number_of_face(t, k)).copied().unwrap_or(NONE);
+            let number = self
+                .numbers
+                .faces
+                .get(&self.all.number_of_face(t, k))
+                .copied()
+                .unwrap_or(NONE);
             local.plane(number, &face(points, k))
         });
         Corners { points, faces }
@@ -204,18 +267,31 @@ impl Work<'_> {
             }
         }
         let parts = |t: u32| match of_tetrahedron.get(t as usize) {
-            None => Parts { cuts: None, first_cell: NONE },
-            Some(i) => {
-                Parts { cuts: cuts.get(*i as usize).map(|(_, c)| c), first_cell: first_cells[t as usize] }
-            }
+            None => Parts {
+                cuts: None,
+                first_cell: NONE,
+            },
+            Some(i) => Parts {
+                cuts: cuts.get(*i as usize).map(|(_, c)| c),
+                first_cell: first_cells[t as usize],
+            },
         };
-        let mut gathered = Gathered { cells, numbers: HashTable::new(), points: self.all.points.len() };
+        let mut gathered = Gathered {
+            cells,
+            numbers: HashTable::new(),
+            points: self.all.points.len(),
+        };
         for start in (0..n).step_by(BATCH) {
             self.watch.done(Stage::Faces, start as u64, n as u64);
             let batch: Vec<Vec<(u32, Faces, Decisions)>> = (start..(start + BATCH).min(n))
                 .into_par_iter()
                 .chunks(256)
-                .map(|chunk| chunk.into_iter().map(|t| self.faces(world, t as u32, &parts)).collect())
+                .map(|chunk| {
+                    chunk
+                        .into_iter()
+                        .map(|t| self.faces(world, t as u32, &parts))
+                        .collect()
+                })
                 .collect::<Vec<Result<Vec<_>, _>>>()
                 .into_iter()
                 .collect::<Result<_, CellsError>>()?;
@@ -243,7 +319,10 @@ impl Work<'_> {
             let corners = self.corners(&mut local, t);
             self.know(&mut local, own);
             if !of_cuts(&mut local, corners, own, &cutter, &mut out) {
-                return Err(CellsError::NotConforming { tetrahedron: t, what: "a cut outside of it" });
+                return Err(CellsError::NotConforming {
+                    tetrahedron: t,
+                    what: "a cut outside of it",
+                });
             }
         }
         for k in 0..4 {
@@ -300,7 +379,9 @@ impl Work<'_> {
         let mut loops: Vec<(u32, u32)> = Vec::with_capacity(3);
         for i in 0..3 {
             let (a, b) = (corners[i], corners[(i + 1) % 3]);
-            let apart = (0..4).find(|j| *j != k && points[*j] != a && points[*j] != b).unwrap_or(k);
+            let apart = (0..4)
+                .find(|j| *j != k && points[*j] != a && points[*j] != b)
+                .unwrap_or(k);
             let edge = number(apart).map(|n| local.plane(n, &face(points, apart)));
             loops.push((local.point(a), edge.unwrap_or(NONE)));
         }
@@ -318,7 +399,9 @@ impl Work<'_> {
             if cells.faces[i].plane == NONE {
                 let start = cells.faces[i].loop_start as usize;
                 cells.faces[i].plane = cells.planes.len() as u32;
-                cells.planes.push(Plane(std::array::from_fn(|k| cells.loops[start + k])));
+                cells
+                    .planes
+                    .push(Plane(std::array::from_fn(|k| cells.loops[start + k])));
             }
         }
     }
@@ -327,7 +410,10 @@ impl Work<'_> {
 /// The entries of a sorted list with a number.
 fn range(list: &[(u32, u32)], number: u32) -> &[(u32, u32)] {
     let first = list.partition_point(|(n, _)| *n < number);
-    let count = list[first..].iter().take_while(|(n, _)| *n == number).count();
+    let count = list[first..]
+        .iter()
+        .take_while(|(n, _)| *n == number)
+        .count();
     &list[first..first + count]
 }
 
@@ -348,9 +434,16 @@ impl Gathered<'_> {
                 continue;
             }
             let hash = |key: &[u32; 3]| FxBuildHasher.hash_one(key);
-            let Cells { meets, rounded: places, .. } = &mut *self.cells;
-            let entry =
-                self.numbers.entry(hash(key), |n| meets[*n as usize] == *key, |n| hash(&meets[*n as usize]));
+            let Cells {
+                meets,
+                rounded: places,
+                ..
+            } = &mut *self.cells;
+            let entry = self.numbers.entry(
+                hash(key),
+                |n| meets[*n as usize] == *key,
+                |n| hash(&meets[*n as usize]),
+            );
             let number = match entry {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(free) => {
@@ -373,12 +466,22 @@ impl Gathered<'_> {
                 cells: face.cells,
             });
             let (loop_end, triangles_end) = (face.loop_end as usize, face.triangles_end as usize);
-            cells.loops.extend(faces.loops[loop_at..loop_end].iter().map(|v| vertices[*v as usize]));
-            cells.triangles.extend(&faces.triangles[triangle_at..triangles_end]);
+            cells.loops.extend(
+                faces.loops[loop_at..loop_end]
+                    .iter()
+                    .map(|v| vertices[*v as usize]),
+            );
+            cells
+                .triangles
+                .extend(&faces.triangles[triangle_at..triangles_end]);
             (loop_at, triangle_at) = (loop_end, triangles_end);
         }
         // Every count fits before the next tetrahedron adds to it.
-        let most = cells.loops.len().max(cells.triangles.len()).max(cells.faces.len() * 2);
+        let most = cells
+            .loops
+            .len()
+            .max(cells.triangles.len())
+            .max(cells.faces.len() * 2);
         if most.max(self.points + cells.meets.len()) > (u32::MAX / 2) as usize {
             return Err(CellsError::TooMany("faces or vertices"));
         }

@@ -91,7 +91,11 @@ pub fn of_cuts(
             (above, side) = cuts.cuts[above as usize].parent;
         }
         let Some(polygon) = facet else { return false };
-        let mut pieces = vec![Piece { polygon, cells: [NONE; 2], triangles: Vec::new() }];
+        let mut pieces = vec![Piece {
+            polygon,
+            cells: [NONE; 2],
+            triangles: Vec::new(),
+        }];
         for side in 0..2 {
             pieces = down(local, parts, cut.children[side], side, pieces);
         }
@@ -112,10 +116,17 @@ pub fn of_face(
     within: impl Iterator<Item = Cutter>,
     out: &mut Faces,
 ) {
-    let mut pieces =
-        vec![Piece { polygon, cells: [NONE; 2], triangles: whole.iter().map(|(_, id)| *id).collect() }];
+    let mut pieces = vec![Piece {
+        polygon,
+        cells: [NONE; 2],
+        triangles: whole.iter().map(|(_, id)| *id).collect(),
+    }];
     for (side, parts) in sides.into_iter().enumerate() {
-        let root = if parts.cuts.is_some_and(|c| !c.cuts.is_empty()) { 0 } else { LEAF };
+        let root = if parts.cuts.is_some_and(|c| !c.cuts.is_empty()) {
+            0
+        } else {
+            LEAF
+        };
         pieces = down(local, parts, root, side, pieces);
     }
     for cutter in within {
@@ -125,7 +136,13 @@ pub fn of_face(
 }
 
 /// Divides pieces by the cuts below a node, and notes the cell that each is at on one side.
-fn down(local: &mut Local<'_>, parts: Parts<'_>, node: u32, side: usize, pieces: Vec<Piece>) -> Vec<Piece> {
+fn down(
+    local: &mut Local<'_>,
+    parts: Parts<'_>,
+    node: u32,
+    side: usize,
+    pieces: Vec<Piece>,
+) -> Vec<Piece> {
     let mut done = Vec::with_capacity(pieces.len());
     let mut todo: Vec<(Piece, u32)> = pieces.into_iter().rev().map(|p| (p, node)).collect();
     while let Some((mut piece, node)) = todo.pop() {
@@ -133,7 +150,11 @@ fn down(local: &mut Local<'_>, parts: Parts<'_>, node: u32, side: usize, pieces:
             Some(cuts) if node & LEAF == 0 => cuts.cuts[node as usize],
             _ => {
                 let is_outside = parts.first_cell == NONE;
-                piece.cells[side] = if is_outside { NONE } else { parts.first_cell + (node & !LEAF) };
+                piece.cells[side] = if is_outside {
+                    NONE
+                } else {
+                    parts.first_cell + (node & !LEAF)
+                };
                 done.push(piece);
                 continue;
             }
@@ -144,7 +165,14 @@ fn down(local: &mut Local<'_>, parts: Parts<'_>, node: u32, side: usize, pieces:
             for (child, polygon) in cut.children.into_iter().zip([front, back]).rev() {
                 if let Some(polygon) = polygon {
                     let (cells, triangles) = (piece.cells, piece.triangles.clone());
-                    todo.push((Piece { polygon, cells, triangles }, child));
+                    todo.push((
+                        Piece {
+                            polygon,
+                            cells,
+                            triangles,
+                        },
+                        child,
+                    ));
                 }
             }
         }
@@ -166,12 +194,26 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
             done.push(piece);
             continue;
         }
-        let Piece { mut polygon, cells, mut triangles } = piece;
+        let Piece {
+            mut polygon,
+            cells,
+            mut triangles,
+        } = piece;
         for (edge, side) in edges {
             // An edge's plane is never the triangle's own.
-            let Split::Parts(front, back) = split(local, polygon.clone(), edge) else { continue };
-            let (inside, outside) = if side > 0 { (front, back) } else { (back, front) };
-            done.extend(outside.map(|polygon| Piece { polygon, cells, triangles: triangles.clone() }));
+            let Split::Parts(front, back) = split(local, polygon.clone(), edge) else {
+                continue;
+            };
+            let (inside, outside) = if side > 0 {
+                (front, back)
+            } else {
+                (back, front)
+            };
+            done.extend(outside.map(|polygon| Piece {
+                polygon,
+                cells,
+                triangles: triangles.clone(),
+            }));
             if let Some(inside) = inside {
                 polygon = inside;
             }
@@ -179,7 +221,11 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
         if let Err(at) = triangles.binary_search(&cutter.id) {
             triangles.insert(at, cutter.id);
         }
-        done.push(Piece { polygon, cells, triangles });
+        done.push(Piece {
+            polygon,
+            cells,
+            triangles,
+        });
     }
     done
 }

@@ -42,7 +42,10 @@ impl TrianglePlanes {
     pub fn new(corners: [u32; 3], points: &[[f32; 3]]) -> Self {
         let axis = axis_apart(corners.map(|c| points[c as usize]));
         let edges = std::array::from_fn(|i| Plane::along([corners[i], corners[(i + 1) % 3]], axis));
-        Self { plane: Plane(corners), edges }
+        Self {
+            plane: Plane(corners),
+            edges,
+        }
     }
 }
 
@@ -53,7 +56,9 @@ impl TrianglePlanes {
 pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, CellsError> {
     let mut whole = whole_faces(surfaces, all);
     let mut is_whole = vec![false; surfaces.triangles.len()];
-    whole.iter().for_each(|(_, id)| is_whole[*id as usize] = true);
+    whole
+        .iter()
+        .for_each(|(_, id)| is_whole[*id as usize] = true);
     whole.par_sort_unstable();
     let mut at_point = vec![NONE; all.points.len()];
     for (t, corners) in (0..).zip(all.tetrahedra) {
@@ -74,13 +79,17 @@ pub fn meetings(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Result<Meetings, C
             },
             |flood, ids| {
                 let mut found = Found::default();
-                ids.iter()
-                    .try_for_each(|id| flood.flood(*id, surfaces.triangles[*id as usize], &mut found))?;
+                ids.iter().try_for_each(|id| {
+                    flood.flood(*id, surfaces.triangles[*id as usize], &mut found)
+                })?;
                 Ok(found)
             },
         )
         .collect::<Result<_, CellsError>>()?;
-    let mut meetings = Meetings { whole, ..Meetings::default() };
+    let mut meetings = Meetings {
+        whole,
+        ..Meetings::default()
+    };
     for part in found {
         meetings.inside.extend(part.inside);
         meetings.within.extend(part.within);
@@ -114,7 +123,11 @@ fn whole_faces(surfaces: &Surfaces, all: &Tetrahedra<'_>) -> Vec<(FaceNumber, u3
                 let other = all.neighbours[t as usize][k];
                 let is_first = other == NONE || t < other;
                 let key = sorted(face(all.tetrahedra[t as usize], k));
-                let mut at = first.get(&key).copied().filter(|_| is_first).unwrap_or(NONE);
+                let mut at = first
+                    .get(&key)
+                    .copied()
+                    .filter(|_| is_first)
+                    .unwrap_or(NONE);
                 std::iter::from_fn(move || {
                     let id = Some(at).filter(|id| *id != NONE)?;
                     at = next[id as usize];
@@ -158,7 +171,10 @@ impl Flood<'_> {
         };
         self.seeds(id, corners[0], &sides);
         if self.todo.is_empty() {
-            return Err(CellsError::NotConforming { tetrahedron: 0, what: "no way to a triangle's inside" });
+            return Err(CellsError::NotConforming {
+                tetrahedron: 0,
+                what: "no way to a triangle's inside",
+            });
         }
         while let Some(t) = self.todo.pop() {
             let own = self.all.tetrahedra[t as usize];
@@ -171,7 +187,8 @@ impl Flood<'_> {
                 found.inside.push((t, id));
             }
             for k in 0..4 {
-                let others: [Sides; 3] = std::array::from_fn(|i| signs[if i < k { i } else { i + 1 }]);
+                let others: [Sides; 3] =
+                    std::array::from_fn(|i| signs[if i < k { i } else { i + 1 }]);
                 if !may_touch(&others) {
                     continue;
                 }
@@ -238,7 +255,9 @@ impl Flood<'_> {
             }
             let plane = Plane(face(own, k));
             let inner = plane.side_of(points, own[k]);
-            corners.iter().any(|c| plane.side_of(points, *c) != inner.reverse())
+            corners
+                .iter()
+                .any(|c| plane.side_of(points, *c) != inner.reverse())
         })
     }
 }
@@ -256,8 +275,17 @@ mod tests {
 
     #[test]
     fn doubled_triangles_are_all_named_at_their_face() {
-        let points = [[0.0f32; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-        let all = Tetrahedra { points: &points, tetrahedra: &[[0, 1, 2, 3]], neighbours: &[[NONE; 4]] };
+        let points = [
+            [0.0f32; 3],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+        ];
+        let all = Tetrahedra {
+            points: &points,
+            tetrahedra: &[[0, 1, 2, 3]],
+            neighbours: &[[NONE; 4]],
+        };
         let surfaces = Surfaces {
             points: points.to_vec(),
             triangles: vec![[0, 2, 1], [1, 2, 0], [1, 2, 3], [0, 0, 1]],

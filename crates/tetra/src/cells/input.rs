@@ -63,12 +63,21 @@ impl Tetrahedra<'_> {
             return wrong("there are more or fewer neighbours than tetrahedra");
         }
         if surfaces.flags.len() != surfaces.triangles.len()
-            || surfaces.triangles.as_flattened().iter().any(|p| *p as usize >= n)
+            || surfaces
+                .triangles
+                .as_flattened()
+                .iter()
+                .any(|p| *p as usize >= n)
         {
             return wrong("a triangle has a corner that is no point, or no flags");
         }
         for (t, (corners, neighbours)) in (0..).zip(self.tetrahedra.iter().zip(self.neighbours)) {
-            let fault = |what| Err(CellsError::NotConforming { tetrahedron: t, what });
+            let fault = |what| {
+                Err(CellsError::NotConforming {
+                    tetrahedron: t,
+                    what,
+                })
+            };
             if corners.iter().any(|p| *p as usize >= self.points.len()) {
                 return fault("a corner that is no point");
             }
@@ -102,7 +111,8 @@ impl Tetrahedra<'_> {
         if self.neighbours[t as usize][k] > t {
             return own;
         }
-        self.across(t, k).map_or(own, |(other, j)| own.min(other * 4 + j as u32))
+        self.across(t, k)
+            .map_or(own, |(other, j)| own.min(other * 4 + j as u32))
     }
 }
 

@@ -46,21 +46,37 @@ impl<'a> World<'a> {
         }
         let size = (0..3).map(|i| max[i] - min[i]).fold(0.0, f64::max);
         // The exponent that the double has, and one more: the power of two above the size.
-        let exponent = if size > 0.0 { (size.to_bits() >> 52) as i32 - 1022 } else { 0 };
+        let exponent = if size > 0.0 {
+            (size.to_bits() >> 52) as i32 - 1022
+        } else {
+            0
+        };
         let tolerance = 2f64.powi(exponent - ROUNDED_BITS);
-        Self { points, planes, scale: 2f64.powi(-exponent), least: least.min(127), tolerance }
+        Self {
+            points,
+            planes,
+            scale: 2f64.powi(-exponent),
+            least: least.min(127),
+            tolerance,
+        }
     }
 
     fn doubles(&self, point: u32, origin: [f32; 3]) -> [Approx; 3] {
         let p = self.points[point as usize];
-        std::array::from_fn(|i| Approx::difference(f64::from(p[i]), f64::from(origin[i]), self.scale))
+        std::array::from_fn(|i| {
+            Approx::difference(f64::from(p[i]), f64::from(origin[i]), self.scale)
+        })
     }
 
     fn integers(&self, point: u32, origin: [f32; 3]) -> [IBig; 3] {
         let p = self.points[point as usize];
         let one = |x: f32| {
             let (mantissa, exponent) = dyadic(f64::from(x));
-            if mantissa == 0 { IBig::ZERO } else { IBig::from(mantissa) << (exponent - self.least) as usize }
+            if mantissa == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(mantissa) << (exponent - self.least) as usize
+            }
         };
         std::array::from_fn(|i| one(p[i]) - one(origin[i]))
     }
@@ -159,7 +175,12 @@ impl<'a> Local<'a> {
             let plane = world.planes[number as usize];
             let doubles = world.equation(plane, |p| world.doubles(p, origin));
             let points = plane.given().to_vec();
-            planes.push(LocalPlane { number, doubles, integers: None, points });
+            planes.push(LocalPlane {
+                number,
+                doubles,
+                integers: None,
+                points,
+            });
             planes.len() as u32 - 1
         });
         let known = &mut self.planes[local as usize].points;
@@ -210,7 +231,13 @@ impl<'a> Local<'a> {
             return *v;
         }
         let [a, b, c] = planes.map(|l| &self.planes[l as usize].doubles);
-        let mut vertex = Vertex { key, planes, doubles: meet(a, b, c), integers: None, is_negated: false };
+        let mut vertex = Vertex {
+            key,
+            planes,
+            doubles: meet(a, b, c),
+            integers: None,
+            is_negated: false,
+        };
         self.decisions.all += 1;
         vertex.is_negated = match vertex.doubles[3].sign() {
             Some(sign) => sign < 0,
@@ -218,7 +245,11 @@ impl<'a> Local<'a> {
                 self.decisions.integers += 1;
                 let exact = self.exact_meet(planes);
                 let is_negative = exact[3] < IBig::ZERO;
-                vertex.integers = Some(Box::new(if is_negative { exact.map(|x| -x) } else { exact }));
+                vertex.integers = Some(Box::new(if is_negative {
+                    exact.map(|x| -x)
+                } else {
+                    exact
+                }));
                 is_negative
             }
         };
@@ -233,7 +264,10 @@ impl<'a> Local<'a> {
 
     /// On which side of a plane a vertex lies: 1 in front, −1 behind, 0 on it.
     pub fn side(&mut self, vertex: u32, plane: u32) -> i8 {
-        let (v, s) = (&self.vertices[vertex as usize], &self.planes[plane as usize]);
+        let (v, s) = (
+            &self.vertices[vertex as usize],
+            &self.planes[plane as usize],
+        );
         if v.planes[0] == NONE {
             let point = v.key[0];
             if s.points.contains(&point) {
@@ -252,7 +286,11 @@ impl<'a> Local<'a> {
         if let Some(sign) = self.signs.get(&(vertex, plane)) {
             return *sign;
         }
-        let sign = if self.is_on_shared_line(vertex, plane) { 0 } else { self.exact_side(vertex, plane) };
+        let sign = if self.is_on_shared_line(vertex, plane) {
+            0
+        } else {
+            self.exact_side(vertex, plane)
+        };
         self.signs.insert((vertex, plane), sign);
         sign
     }
@@ -260,10 +298,17 @@ impl<'a> Local<'a> {
     /// Whether two planes of a vertex share two points of the input with a third plane: then the three share
     /// a line, which the vertex lies on.
     fn is_on_shared_line(&self, vertex: u32, plane: u32) -> bool {
-        let [p, q, r] = self.vertices[vertex as usize].planes.map(|l| &self.planes[l as usize].points);
+        let [p, q, r] = self.vertices[vertex as usize]
+            .planes
+            .map(|l| &self.planes[l as usize].points);
         let s = &self.planes[plane as usize].points;
-        let shared =
-            |p: &[u32], q: &[u32]| s.iter().filter(|x| p.contains(x) && q.contains(x)).take(2).count() == 2;
+        let shared = |p: &[u32], q: &[u32]| {
+            s.iter()
+                .filter(|x| p.contains(x) && q.contains(x))
+                .take(2)
+                .count()
+                == 2
+        };
         shared(p, q) || shared(q, r) || shared(r, p)
     }
 
@@ -273,9 +318,16 @@ impl<'a> Local<'a> {
         if self.vertices[vertex as usize].integers.is_none() {
             let exact = self.exact_meet(self.vertices[vertex as usize].planes);
             let v = &mut self.vertices[vertex as usize];
-            v.integers = Some(Box::new(if v.is_negated { exact.map(|x| -x) } else { exact }));
+            v.integers = Some(Box::new(if v.is_negated {
+                exact.map(|x| -x)
+            } else {
+                exact
+            }));
         }
-        match (&self.planes[plane as usize].integers, &self.vertices[vertex as usize].integers) {
+        match (
+            &self.planes[plane as usize].integers,
+            &self.vertices[vertex as usize].integers,
+        ) {
             (Some(s), Some(v)) => sign(value(s, v).cmp(&IBig::ZERO)),
             // Both were made above.
             _ => 0,
@@ -287,7 +339,9 @@ impl<'a> Local<'a> {
         let p = &mut self.planes[plane as usize];
         if p.integers.is_none() {
             let plane = world.planes[p.number as usize];
-            p.integers = Some(Box::new(world.equation(plane, |x| world.integers(x, origin))));
+            p.integers = Some(Box::new(
+                world.equation(plane, |x| world.integers(x, origin)),
+            ));
         }
     }
 
@@ -320,11 +374,19 @@ impl<'a> Local<'a> {
         }
         let exact = self.exact_meet(self.vertices[vertex as usize].planes);
         let is_negative = exact[3] < IBig::ZERO;
-        let [x, y, z, w] = if is_negative { exact.map(|x| -x) } else { exact };
+        let [x, y, z, w] = if is_negative {
+            exact.map(|x| -x)
+        } else {
+            exact
+        };
         let zero = self.world.integers_of(self.origin);
         // From the box's own zero, so that only one rounding is made.
         let absolute = |x: IBig, o: &IBig| self.world.unscaled(&(x + o * &w), &w);
-        [absolute(x, &zero[0]), absolute(y, &zero[1]), absolute(z, &zero[2])]
+        [
+            absolute(x, &zero[0]),
+            absolute(y, &zero[1]),
+            absolute(z, &zero[2]),
+        ]
     }
 }
 
@@ -332,7 +394,11 @@ impl World<'_> {
     fn integers_of(&self, place: [f32; 3]) -> [IBig; 3] {
         place.map(|x| {
             let (mantissa, exponent) = dyadic(f64::from(x));
-            if mantissa == 0 { IBig::ZERO } else { IBig::from(mantissa) << (exponent - self.least) as usize }
+            if mantissa == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(mantissa) << (exponent - self.least) as usize
+            }
         })
     }
 

@@ -57,7 +57,10 @@ impl Approx {
         // Knuth's sum: the rest is exact.
         let back = value - x;
         let rest = (x - (value - back)) + (-y - back);
-        Self { value: value * scale, error: rest.abs() * scale }
+        Self {
+            value: value * scale,
+            error: rest.abs() * scale,
+        }
     }
 
     /// 1, −1, or `None` where the error may be larger than the value.
@@ -71,23 +74,36 @@ impl Approx {
 
     /// The number with the other sign.
     pub fn negated(self) -> Self {
-        Self { value: -self.value, error: self.error }
+        Self {
+            value: -self.value,
+            error: self.error,
+        }
     }
 }
 
 impl Number for Approx {
     fn add(&self, other: &Self) -> Self {
         let value = self.value + other.value;
-        Self { value, error: self.error + other.error + U * value.abs() }
+        Self {
+            value,
+            error: self.error + other.error + U * value.abs(),
+        }
     }
     fn sub(&self, other: &Self) -> Self {
         let value = self.value - other.value;
-        Self { value, error: self.error + other.error + U * value.abs() }
+        Self {
+            value,
+            error: self.error + other.error + U * value.abs(),
+        }
     }
     fn mul(&self, other: &Self) -> Self {
         let value = self.value * other.value;
-        let of_operands = self.error * (other.value.abs() + other.error) + other.error * self.value.abs();
-        Self { value, error: of_operands + U * value.abs() }
+        let of_operands =
+            self.error * (other.value.abs() + other.error) + other.error * self.value.abs();
+        Self {
+            value,
+            error: of_operands + U * value.abs(),
+        }
     }
     fn zero() -> Self {
         Self::default()
@@ -106,7 +122,11 @@ impl Residue {
         let turn = exponent.rem_euclid(61) as u32;
         let magnitude = mantissa.unsigned_abs() % Self::PRIME;
         let turned = Self(((u128::from(magnitude) << turn) % u128::from(Self::PRIME)) as u64);
-        if mantissa < 0 { Self::zero().sub(&turned) } else { turned }
+        if mantissa < 0 {
+            Self::zero().sub(&turned)
+        } else {
+            turned
+        }
     }
 
     /// The number itself, below 2⁶¹.
@@ -133,15 +153,27 @@ impl Residue {
 impl Number for Residue {
     fn add(&self, other: &Self) -> Self {
         let sum = self.0 + other.0;
-        Self(if sum >= Self::PRIME { sum - Self::PRIME } else { sum })
+        Self(if sum >= Self::PRIME {
+            sum - Self::PRIME
+        } else {
+            sum
+        })
     }
     fn sub(&self, other: &Self) -> Self {
-        Self(if self.0 >= other.0 { self.0 - other.0 } else { self.0 + Self::PRIME - other.0 })
+        Self(if self.0 >= other.0 {
+            self.0 - other.0
+        } else {
+            self.0 + Self::PRIME - other.0
+        })
     }
     fn mul(&self, other: &Self) -> Self {
         let product = u128::from(self.0) * u128::from(other.0);
         let sum = (product as u64 & Self::PRIME) + (product >> 61) as u64;
-        Self(if sum >= Self::PRIME { sum - Self::PRIME } else { sum })
+        Self(if sum >= Self::PRIME {
+            sum - Self::PRIME
+        } else {
+            sum
+        })
     }
     fn zero() -> Self {
         Self(0)
@@ -192,7 +224,8 @@ pub fn meet<T: Number>(p: &[T; 4], q: &[T; 4], r: &[T; 4]) -> [T; 4] {
 /// The value of a plane at a point in homogeneous coordinates.
 pub fn value<T: Number>(plane: &[T; 4], point: &[T; 4]) -> T {
     let sum = plane[0].mul(&point[0]).add(&plane[1].mul(&point[1]));
-    sum.add(&plane[2].mul(&point[2])).add(&plane[3].mul(&point[3]))
+    sum.add(&plane[2].mul(&point[2]))
+        .add(&plane[3].mul(&point[3]))
 }
 
 #[cfg(test)]
@@ -217,7 +250,8 @@ mod tests {
         };
         let m = rows();
         let rest = |k: usize| [m[k][1], m[k][2], m[k][3]];
-        let det = m[0][0] * det3(rest(1), rest(2), rest(3)) - m[1][0] * det3(rest(0), rest(2), rest(3))
+        let det = m[0][0] * det3(rest(1), rest(2), rest(3))
+            - m[1][0] * det3(rest(0), rest(2), rest(3))
             + m[2][0] * det3(rest(0), rest(1), rest(3))
             - m[3][0] * det3(rest(0), rest(1), rest(2));
         assert_eq!(value(&s, &x), IBig::from(det));
@@ -228,8 +262,14 @@ mod tests {
         let x = Residue::dyadic(-12345, -7);
         assert_eq!(x.mul(&x.inverse()), Residue::dyadic(1, 0));
         assert_eq!(Residue::dyadic(3, 61), Residue::dyadic(3, 0));
-        assert_eq!(Residue::dyadic(1, -1).mul(&Residue::dyadic(2, 0)), Residue::dyadic(1, 0));
-        assert_eq!(Residue::dyadic(-5, 3).add(&Residue::dyadic(5, 3)), Residue::zero());
+        assert_eq!(
+            Residue::dyadic(1, -1).mul(&Residue::dyadic(2, 0)),
+            Residue::dyadic(1, 0)
+        );
+        assert_eq!(
+            Residue::dyadic(-5, 3).add(&Residue::dyadic(5, 3)),
+            Residue::zero()
+        );
     }
 
     #[test]
@@ -238,6 +278,13 @@ mod tests {
         assert_eq!((exact.value, exact.error), (1.0, 0.0));
         let lost = Approx::difference(1.0, 1e-30, 1.0);
         assert_eq!((lost.value, lost.error), (1.0, 1e-30));
-        assert_eq!(lost.sub(&Approx { value: 1.0, error: 0.0 }).sign(), None);
+        assert_eq!(
+            lost.sub(&Approx {
+                value: 1.0,
+                error: 0.0
+            })
+            .sign(),
+            None
+        );
     }
 }

@@ -92,8 +92,12 @@ impl Plane {
 
     /// Whether two planes have the same points.
     pub fn is(self, other: Self, points: &[[f32; 3]]) -> bool {
-        self.given().iter().all(|p| other.side_of(points, *p) == Ordering::Equal)
-            && self.axis().is_none_or(|axis| other.holds_direction(points, axis))
+        self.given()
+            .iter()
+            .all(|p| other.side_of(points, *p) == Ordering::Equal)
+            && self
+                .axis()
+                .is_none_or(|axis| other.holds_direction(points, axis))
     }
 
     /// A number that equal planes share and others hardly ever.
@@ -109,9 +113,15 @@ impl Plane {
             Some(axis) => along_axis([&a, &b], axis),
             None => through_points([&a, &b, &residues(self.0[2])]),
         };
-        let first = plane.iter().copied().find(|c| c.get() != 0).unwrap_or_default();
+        let first = plane
+            .iter()
+            .copied()
+            .find(|c| c.get() != 0)
+            .unwrap_or_default();
         let scale = first.inverse();
-        plane.iter().fold(0, |name: u64, c| (name.rotate_left(17) ^ c.mul(&scale).get()).wrapping_mul(SPREAD))
+        plane.iter().fold(0, |name: u64, c| {
+            (name.rotate_left(17) ^ c.mul(&scale).get()).wrapping_mul(SPREAD)
+        })
     }
 }
 
@@ -122,7 +132,8 @@ const SPREAD: u64 = 0x9e37_79b9_7f4a_7c15;
 /// plane: one that is not parallel to the triangle, and rather close to its normal.
 pub fn axis_apart(corners: [[f32; 3]; 3]) -> usize {
     let [a, b, c] = corners.map(|p| p.map(f64::from));
-    let minor = |i: usize, j: usize| ((b[i] - a[i]) * (c[j] - a[j]) - (b[j] - a[j]) * (c[i] - a[i])).abs();
+    let minor =
+        |i: usize, j: usize| ((b[i] - a[i]) * (c[j] - a[j]) - (b[j] - a[j]) * (c[i] - a[i])).abs();
     let size = [minor(1, 2), minor(2, 0), minor(0, 1)];
     let mut order = [0, 1, 2];
     order.sort_by(|i, j| size[*j].total_cmp(&size[*i]));
@@ -201,22 +212,50 @@ mod tests {
     #[test]
     fn in_front_is_where_the_normal_points() {
         let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        assert_eq!(Plane([0, 1, 2]).side(&points, [0.2, 0.2, 1.0]), Ordering::Greater);
+        assert_eq!(
+            Plane([0, 1, 2]).side(&points, [0.2, 0.2, 1.0]),
+            Ordering::Greater
+        );
         // x × z = −y.
-        assert_eq!(Plane::along([0, 1], 2).side(&points, [0.0, -1.0, 0.0]), Ordering::Greater);
+        assert_eq!(
+            Plane::along([0, 1], 2).side(&points, [0.0, -1.0, 0.0]),
+            Ordering::Greater
+        );
         // x × y = z, and y × x = −z.
-        assert_eq!(Plane::along([0, 1], 1).side(&points, [0.0, 0.0, 1.0]), Ordering::Greater);
-        assert_eq!(Plane::along([0, 2], 0).side(&points, [0.0, 0.0, 1.0]), Ordering::Less);
-        let planes = [Plane([0, 1, 2]), Plane([2, 1, 0]), Plane::along([0, 1], 2), Plane::along([0, 1], 1)];
-        for plane in planes.into_iter().chain([Plane::along([0, 2], 0), Plane::along([1, 2], 2)]) {
+        assert_eq!(
+            Plane::along([0, 1], 1).side(&points, [0.0, 0.0, 1.0]),
+            Ordering::Greater
+        );
+        assert_eq!(
+            Plane::along([0, 2], 0).side(&points, [0.0, 0.0, 1.0]),
+            Ordering::Less
+        );
+        let planes = [
+            Plane([0, 1, 2]),
+            Plane([2, 1, 0]),
+            Plane::along([0, 1], 2),
+            Plane::along([0, 1], 1),
+        ];
+        for plane in planes
+            .into_iter()
+            .chain([Plane::along([0, 2], 0), Plane::along([1, 2], 2)])
+        {
             for axis in 0..3 {
                 let step = |by: f32| {
                     let mut p = points[plane.0[0] as usize];
                     p[axis] += by;
                     plane.side(&points, p)
                 };
-                assert_eq!(plane.normal_sign(&points, axis), step(1.0), "{plane:?} {axis}");
-                assert_eq!(plane.normal_sign(&points, axis), step(-1.0).reverse(), "{plane:?} {axis}");
+                assert_eq!(
+                    plane.normal_sign(&points, axis),
+                    step(1.0),
+                    "{plane:?} {axis}"
+                );
+                assert_eq!(
+                    plane.normal_sign(&points, axis),
+                    step(-1.0).reverse(),
+                    "{plane:?} {axis}"
+                );
             }
         }
     }

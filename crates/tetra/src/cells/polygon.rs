@@ -30,7 +30,11 @@ pub fn split(local: &mut Local<'_>, polygon: Polygon, plane: u32) -> Split {
     if polygon.plane == plane {
         return Split::On;
     }
-    let sides: Vec<i8> = polygon.loops.iter().map(|(v, _)| local.side(*v, plane)).collect();
+    let sides: Vec<i8> = polygon
+        .loops
+        .iter()
+        .map(|(v, _)| local.side(*v, plane))
+        .collect();
     let (has_front, has_back) = (sides.contains(&1), sides.contains(&-1));
     match (has_front, has_back) {
         (false, false) => Split::On,
@@ -65,7 +69,12 @@ pub fn split(local: &mut Local<'_>, polygon: Polygon, plane: u32) -> Split {
                     }
                 }
             }
-            let part = |loops| Some(Polygon { plane: polygon.plane, loops });
+            let part = |loops| {
+                Some(Polygon {
+                    plane: polygon.plane,
+                    loops,
+                })
+            };
             Split::Parts(part(front), part(back))
         }
     }
@@ -124,7 +133,9 @@ pub fn section(local: &mut Local<'_>, tetrahedron: Corners, plane: u32) -> Optio
         let vertex = if at.0 == at.1 {
             corners[at.0]
         } else {
-            let mut through = (0..4).filter(|k| *k != at.0 && *k != at.1).map(|k| tetrahedron.faces[k]);
+            let mut through = (0..4)
+                .filter(|k| *k != at.0 && *k != at.1)
+                .map(|k| tetrahedron.faces[k]);
             let (a, b) = (through.next()?, through.next()?);
             local.meet(plane, a, b)
         };

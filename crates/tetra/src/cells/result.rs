@@ -108,14 +108,16 @@ impl<'a> CellsView<'a> {
 
     /// The triangles that cover a face, which must be below [`Self::face_count`].
     pub fn face_triangles(&self, face: usize) -> &'a [u32] {
-        let range = self.faces[face].triangles_start as usize..self.faces[face + 1].triangles_start as usize;
+        let range = self.faces[face].triangles_start as usize
+            ..self.faces[face + 1].triangles_start as usize;
         &self.triangles[range]
     }
 
     /// The faces of a cell, which must be below [`Self::cell_count`]: face times two, plus one where the cell
     /// is behind.
     pub fn faces_of(&self, cell: usize) -> &'a [u32] {
-        let range = self.cells[cell].faces_start as usize..self.cells[cell + 1].faces_start as usize;
+        let range =
+            self.cells[cell].faces_start as usize..self.cells[cell + 1].faces_start as usize;
         &self.cell_faces[range]
     }
 
@@ -146,9 +148,21 @@ impl Cells {
 
     /// Ends the lists and gathers the faces of the cells; `tetrahedra` are those of the cells in order.
     pub(crate) fn finish(&mut self, tetrahedra: impl Iterator<Item = u32>) {
-        self.cells = tetrahedra.map(|tetrahedron| CellRecord { tetrahedron, faces_start: 0 }).collect();
-        self.cells.push(CellRecord { tetrahedron: NONE, faces_start: 0 });
-        let sides = self.faces.iter().flat_map(|f| f.cells).filter(|c| *c != NONE);
+        self.cells = tetrahedra
+            .map(|tetrahedron| CellRecord {
+                tetrahedron,
+                faces_start: 0,
+            })
+            .collect();
+        self.cells.push(CellRecord {
+            tetrahedron: NONE,
+            faces_start: 0,
+        });
+        let sides = self
+            .faces
+            .iter()
+            .flat_map(|f| f.cells)
+            .filter(|c| *c != NONE);
         sides.for_each(|cell| self.cells[cell as usize + 1].faces_start += 1);
         let mut at = 0;
         for cell in &mut self.cells {

@@ -20,15 +20,27 @@ pub(crate) struct Integers<'a> {
 
 impl<'a> Integers<'a> {
     pub fn new(cells: CellsView<'a>) -> Self {
-        let parts = cells.points.as_flattened().iter().map(|x| dyadic(f64::from(*x)));
-        let least = parts.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
+        let parts = cells
+            .points
+            .as_flattened()
+            .iter()
+            .map(|x| dyadic(f64::from(*x)));
+        let least = parts
+            .filter(|(m, _)| *m != 0)
+            .map(|(_, e)| e)
+            .min()
+            .unwrap_or(0);
         Self { cells, least }
     }
 
     pub fn point(&self, point: u32) -> [IBig; 3] {
         self.cells.points[point as usize].map(|x| {
             let (mantissa, exponent) = dyadic(f64::from(x));
-            if mantissa == 0 { IBig::ZERO } else { IBig::from(mantissa) << (exponent - self.least) as usize }
+            if mantissa == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(mantissa) << (exponent - self.least) as usize
+            }
         })
     }
 
@@ -90,7 +102,12 @@ pub(crate) struct Known<'a> {
 impl<'a> Known<'a> {
     pub fn new(of: &'a Integers<'a>) -> Self {
         let (vertices, planes, places) = Default::default();
-        Self { of, vertices, planes, places }
+        Self {
+            of,
+            vertices,
+            planes,
+            places,
+        }
     }
 
     pub fn vertex(&mut self, vertex: u32) -> Result<Rc<[IBig; 4]>, Fault> {
@@ -142,7 +159,13 @@ pub(crate) fn sign(x: &IBig) -> i8 {
 
 /// The axis along which a plane's normal is longest, and the sign of the normal there: 0 without a normal.
 pub(crate) fn main_axis(plane: &[IBig; 4]) -> (usize, i8) {
-    let size = |i: usize| if sign(&plane[i]) < 0 { -&plane[i] } else { plane[i].clone() };
+    let size = |i: usize| {
+        if sign(&plane[i]) < 0 {
+            -&plane[i]
+        } else {
+            plane[i].clone()
+        }
+    };
     let mut axis = 0;
     for i in 1..3 {
         if size(i) > size(axis) {

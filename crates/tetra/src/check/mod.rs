@@ -40,7 +40,13 @@ use residues::{Both, Field, Place};
 /// # Errors
 /// The first [`Fault`].
 pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
-    let Contents { cells, surfaces, windings, ref digest, .. } = *contents;
+    let Contents {
+        cells,
+        surfaces,
+        windings,
+        ref digest,
+        ..
+    } = *contents;
     structure::check(cells, surfaces)?;
     let checker = Checker {
         cells,
@@ -51,24 +57,34 @@ pub fn check(contents: &Contents<'_>) -> Result<(), Fault> {
     };
     first((0..cells.planes.len()).into_par_iter(), |i| {
         let plane = checker.integers.plane(cells.planes[i]);
-        if main_axis(&plane).1 == 0 { Err(Fault::Plane(i)) } else { Ok(()) }
+        if main_axis(&plane).1 == 0 {
+            Err(Fault::Plane(i))
+        } else {
+            Ok(())
+        }
     })?;
     in_parts(cells.meets.len(), |part| {
         let mut known = Known::new(&checker.integers);
-        part.into_iter().try_for_each(|i| checker.place(i, &mut known))
+        part.into_iter()
+            .try_for_each(|i| checker.place(i, &mut known))
     })?;
     in_parts(cells.face_count(), |part| {
         let mut known = Known::new(&checker.integers);
-        part.into_iter().try_for_each(|i| checker.face(i as u32, &mut known))
+        part.into_iter()
+            .try_for_each(|i| checker.face(i as u32, &mut known))
     })?;
-    first((0..cells.face_count()).into_par_iter(), |i| checker.solids(i as u32, windings))?;
+    first((0..cells.face_count()).into_par_iter(), |i| {
+        checker.solids(i as u32, windings)
+    })?;
     let volumes = in_parts(cells.cell_count(), |part| {
         let mut known = Known::new(&checker.integers);
         part.into_iter().try_fold(Both::default(), |sum, i| {
             Ok(checker.field.add(sum, checker.cell(i as u32, &mut known)?))
         })
     })?;
-    let sum = volumes.into_iter().fold(Both::default(), |sum, part| checker.field.add(sum, part));
+    let sum = volumes
+        .into_iter()
+        .fold(Both::default(), |sum, part| checker.field.add(sum, part));
     if sum != checker.box_volume() {
         return Err(Fault::Volume);
     }
@@ -80,7 +96,10 @@ fn first(
     indices: impl IndexedParallelIterator<Item = usize>,
     check: impl Fn(usize) -> Result<(), Fault> + Sync + Send,
 ) -> Result<(), Fault> {
-    indices.map(check).find_map_first(Result::err).map_or(Ok(()), Err)
+    indices
+        .map(check)
+        .find_map_first(Result::err)
+        .map_or(Ok(()), Err)
 }
 
 /// Numbers that are checked together. Neighbours in the lists are neighbours in space and share vertices.
@@ -92,7 +111,9 @@ fn in_parts<T: Send>(
     check: impl Fn(std::ops::Range<usize>) -> Result<T, Fault> + Sync + Send,
 ) -> Result<Vec<T>, Fault> {
     let parts = (0..count.div_ceil(PART)).into_par_iter();
-    let all: Vec<Result<T, Fault>> = parts.map(|n| check(n * PART..((n + 1) * PART).min(count))).collect();
+    let all: Vec<Result<T, Fault>> = parts
+        .map(|n| check(n * PART..((n + 1) * PART).min(count)))
+        .collect();
     all.into_iter().collect()
 }
 
@@ -119,9 +140,16 @@ impl Checker<'_> {
             let (mantissa, exponent) = dyadic(place);
             // The unit in the last place; that of a subnormal number is the least there is.
             let last = (((place.to_bits() >> 52 & 0x7ff) as i32).max(1)) - 1075;
-            let unit = least.min(share).min(last).min(if mantissa == 0 { least } else { exponent });
+            let unit = least
+                .min(share)
+                .min(last)
+                .min(if mantissa == 0 { least } else { exponent });
             let in_units = |number: IBig, exponent: i32| number << (exponent - unit) as usize;
-            let given = if mantissa == 0 { IBig::ZERO } else { in_units(IBig::from(mantissa), exponent) };
+            let given = if mantissa == 0 {
+                IBig::ZERO
+            } else {
+                in_units(IBig::from(mantissa), exponent)
+            };
             let apart = given * &exact[3] - in_units(exact[k].clone(), least);
             let most = (in_units(IBig::ONE, share) + in_units(IBig::ONE, last)) * &exact[3];
             if apart > most || -apart > most {
@@ -134,11 +162,17 @@ impl Checker<'_> {
     fn face(&self, face: u32, known: &mut Known<'_>) -> Result<(), Fault> {
         let record = self.cells.faces[face as usize];
         let numbers = self.cells.face_loop(face as usize);
-        let loops = numbers.iter().map(|v| known.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
+        let loops = numbers
+            .iter()
+            .map(|v| known.vertex(*v))
+            .collect::<Result<Vec<_>, _>>()?;
         let plane = known.plane(record.plane);
         for (v, number) in loops.iter().zip(numbers) {
             if side(&plane, v) != 0 {
-                return Err(Fault::OffPlane { face, vertex: *number });
+                return Err(Fault::OffPlane {
+                    face,
+                    vertex: *number,
+                });
             }
         }
         let (axis, up) = main_axis(&plane);
@@ -160,15 +194,23 @@ impl Checker<'_> {
         if record.cells.contains(&NONE) {
             self.border(face, &loops)?;
         }
-        self.cells.face_triangles(face as usize).iter().try_for_each(|id| self.covered(face, *id, &loops))
+        self.cells
+            .face_triangles(face as usize)
+            .iter()
+            .try_for_each(|id| self.covered(face, *id, &loops))
     }
 
     /// A face with one cell is in one of the six sides of the box.
     fn border(&self, face: u32, loops: &[Rc<[IBig; 4]>]) -> Result<(), Fault> {
         let bounds = self.bounds.map(|p| self.integers.point(p));
-        let is_on = |axis: usize, bound: &[IBig; 3]| loops.iter().all(|v| v[axis] == &bound[axis] * &v[3]);
+        let is_on =
+            |axis: usize, bound: &[IBig; 3]| loops.iter().all(|v| v[axis] == &bound[axis] * &v[3]);
         let on_one = bounds.iter().any(|b| (0..3).any(|axis| is_on(axis, b)));
-        if on_one { Ok(()) } else { Err(Fault::Border(face)) }
+        if on_one {
+            Ok(())
+        } else {
+            Err(Fault::Border(face))
+        }
     }
 
     /// A face that names a triangle is in its plane and within its edges.
@@ -179,12 +221,18 @@ impl Checker<'_> {
         let is_in = up != 0
             && loops.iter().all(|v| side(&plane, v) == 0)
             && (0..3).all(|k| {
-                let edge = self.integers.along([corners[k], corners[(k + 1) % 3]], axis);
+                let edge = self
+                    .integers
+                    .along([corners[k], corners[(k + 1) % 3]], axis);
                 let [x, y, z] = self.integers.point(corners[(k + 2) % 3]);
                 let inner = side(&edge, &[x, y, z, IBig::ONE]);
                 loops.iter().all(|v| side(&edge, v) * inner >= 0)
             });
-        if is_in { Ok(()) } else { Err(Fault::NotOf { face, triangle }) }
+        if is_in {
+            Ok(())
+        } else {
+            Err(Fault::NotOf { face, triangle })
+        }
     }
 
     /// The solids that hold the two cells of a face differ by those that begin or end in it; outside of the
@@ -195,7 +243,9 @@ impl Checker<'_> {
             NONE => Some(0),
             cell => windings.get(cell as usize).map(|w| i64::from(*w)),
         });
-        let plane = self.integers.plane(self.cells.planes[record.plane as usize]);
+        let plane = self
+            .integers
+            .plane(self.cells.planes[record.plane as usize]);
         let closed = |id: &&u32| self.surfaces.flags[**id as usize] & CLOSED != 0;
         let begin: i64 = self
             .cells
@@ -217,11 +267,17 @@ impl Checker<'_> {
     /// Six times the volume of a cell, after all checks of its signs.
     fn cell(&self, cell: u32, known: &mut Known<'_>) -> Result<Both, Fault> {
         let faces = self.cells.faces_of(cell as usize);
-        let mut numbers: Vec<u32> =
-            faces.iter().flat_map(|f| self.cells.face_loop((f / 2) as usize)).copied().collect();
+        let mut numbers: Vec<u32> = faces
+            .iter()
+            .flat_map(|f| self.cells.face_loop((f / 2) as usize))
+            .copied()
+            .collect();
         numbers.sort_unstable();
         numbers.dedup();
-        let vertices = numbers.iter().map(|v| known.vertex(*v)).collect::<Result<Vec<_>, _>>()?;
+        let vertices = numbers
+            .iter()
+            .map(|v| known.vertex(*v))
+            .collect::<Result<Vec<_>, _>>()?;
         let mut is_flat = true;
         for f in faces {
             let (face, inner) = (f / 2, if f & 1 == 0 { 1 } else { -1 });
@@ -229,7 +285,11 @@ impl Checker<'_> {
             for (v, number) in vertices.iter().zip(&numbers) {
                 let side = side(&plane, v) * inner;
                 if side < 0 {
-                    return Err(Fault::Beyond { cell, face, vertex: *number });
+                    return Err(Fault::Beyond {
+                        cell,
+                        face,
+                        vertex: *number,
+                    });
                 }
                 is_flat &= side == 0;
             }
@@ -237,9 +297,15 @@ impl Checker<'_> {
         if is_flat {
             return Err(Fault::Flat(cell));
         }
-        let places: Vec<Place> =
-            numbers.iter().map(|v| known.place(*v, &self.field)).collect::<Result<_, _>>()?;
-        let place = |v: &u32| numbers.binary_search(v).map_or(Place::default(), |at| places[at]);
+        let places: Vec<Place> = numbers
+            .iter()
+            .map(|v| known.place(*v, &self.field))
+            .collect::<Result<_, _>>()?;
+        let place = |v: &u32| {
+            numbers
+                .binary_search(v)
+                .map_or(Place::default(), |at| places[at])
+        };
         let mut volume = Both::default();
         let mut edges: Vec<(u32, u32)> = Vec::new();
         for f in faces {
@@ -249,11 +315,22 @@ impl Checker<'_> {
             let part = self.field.dot(&self.field.area(&loops), &from);
             let is_behind = f & 1 == 1;
             // Area vectors point to the front, away from cells behind.
-            volume = if is_behind { self.field.add(volume, part) } else { self.field.sub(volume, part) };
-            let ends = numbers.iter().zip(numbers.iter().cycle().skip(1)).map(|(a, b)| (*a, *b));
+            volume = if is_behind {
+                self.field.add(volume, part)
+            } else {
+                self.field.sub(volume, part)
+            };
+            let ends = numbers
+                .iter()
+                .zip(numbers.iter().cycle().skip(1))
+                .map(|(a, b)| (*a, *b));
             edges.extend(ends.map(|(a, b)| if is_behind { (a, b) } else { (b, a) }));
         }
-        if self.closes(&edges, place) { Ok(volume) } else { Err(Fault::Open(cell)) }
+        if self.closes(&edges, place) {
+            Ok(volume)
+        } else {
+            Err(Fault::Open(cell))
+        }
     }
 
     /// Whether directed edges cancel on each line. On a line they do where each place ends as many as it
@@ -279,13 +356,20 @@ impl Checker<'_> {
     fn box_volume(&self) -> Both {
         let [min, max] = self.bounds.map(|p| self.integers.point(p));
         let six = self.field.integer(&IBig::from(6));
-        (0..3).fold(six, |v, i| self.field.mul(v, self.field.integer(&(&max[i] - &min[i]))))
+        (0..3).fold(six, |v, i| {
+            self.field.mul(v, self.field.integer(&(&max[i] - &min[i])))
+        })
     }
 
     /// The areas of the faces of each triangle, seen along an axis, add up to its own.
     fn triangles(&self) -> Result<(), Fault> {
         let mut faces: Vec<(u32, u32)> = (0..self.cells.face_count() as u32)
-            .flat_map(|f| self.cells.face_triangles(f as usize).iter().map(move |id| (*id, f)))
+            .flat_map(|f| {
+                self.cells
+                    .face_triangles(f as usize)
+                    .iter()
+                    .map(move |id| (*id, f))
+            })
             .collect();
         faces.par_sort_unstable();
         let check = |id: usize, known: &mut Known<'_>| {
@@ -297,16 +381,33 @@ impl Checker<'_> {
             let mut sum = Both::default();
             for (_, face) in own {
                 let record = self.cells.faces[*face as usize];
-                let up = sign(&self.integers.plane(self.cells.planes[record.plane as usize])[axis]);
+                let up = sign(
+                    &self
+                        .integers
+                        .plane(self.cells.planes[record.plane as usize])[axis],
+                );
                 let loops = self.cells.face_loop(*face as usize).iter();
-                let places: Result<Vec<Place>, Fault> = loops.map(|v| known.place(*v, &self.field)).collect();
+                let places: Result<Vec<Place>, Fault> =
+                    loops.map(|v| known.place(*v, &self.field)).collect();
                 let area = self.field.area(&places?)[axis];
-                sum = if up > 0 { self.field.add(sum, area) } else { self.field.sub(sum, area) };
+                sum = if up > 0 {
+                    self.field.add(sum, area)
+                } else {
+                    self.field.sub(sum, area)
+                };
             }
             let whole = self.field.integer(&plane[axis]);
             // A triangle without area, whose normal is zero, has no faces.
-            let is_whole = if up >= 0 { sum == whole } else { self.field.add(sum, whole) == [0; 2] };
-            if is_whole { Ok(()) } else { Err(Fault::NotCovered(id as u32)) }
+            let is_whole = if up >= 0 {
+                sum == whole
+            } else {
+                self.field.add(sum, whole) == [0; 2]
+            };
+            if is_whole {
+                Ok(())
+            } else {
+                Err(Fault::NotCovered(id as u32))
+            }
         };
         in_parts(self.surfaces.triangles.len(), |part| {
             let mut known = Known::new(&self.integers);

@@ -25,10 +25,24 @@ impl Field {
             let bytes = std::array::from_fn(|i| digest[from + i]);
             (u64::from_le_bytes(bytes) >> 4) | (1 << 60) | 1
         };
-        let next = |from: u64| (from..).step_by(2).find(|n| is_prime(*n)).unwrap_or((1 << 61) - 1);
+        let next = |from: u64| {
+            (from..)
+                .step_by(2)
+                .find(|n| is_prime(*n))
+                .unwrap_or((1 << 61) - 1)
+        };
         let first = next(start(0));
         let second = next(start(8));
-        Self { primes: [first, if second == first { next(first + 2) } else { second }] }
+        Self {
+            primes: [
+                first,
+                if second == first {
+                    next(first + 2)
+                } else {
+                    second
+                },
+            ],
+        }
     }
 
     pub fn add(&self, a: Both, b: Both) -> Both {
@@ -52,7 +66,11 @@ impl Field {
         std::array::from_fn(|i| {
             let prime = IBig::from(self.primes[i]);
             let (_, rest) = x.div_rem(&prime);
-            let rest = if rest < IBig::ZERO { rest + prime } else { rest };
+            let rest = if rest < IBig::ZERO {
+                rest + prime
+            } else {
+                rest
+            };
             // A rest of a division by 61 bits has no more.
             u64::try_from(rest).unwrap_or_default()
         })
@@ -74,7 +92,10 @@ impl Field {
     }
 
     pub fn dot(&self, a: &Place, b: &Place) -> Both {
-        self.add(self.add(self.mul(a[0], b[0]), self.mul(a[1], b[1])), self.mul(a[2], b[2]))
+        self.add(
+            self.add(self.mul(a[0], b[0]), self.mul(a[1], b[1])),
+            self.mul(a[2], b[2]),
+        )
     }
 
     /// Twice the area of a loop in its plane as a vector.
@@ -123,15 +144,17 @@ fn is_prime(n: u64) -> bool {
     }
     let zeros = (n - 1).trailing_zeros();
     let odd = (n - 1) >> zeros;
-    [2, 325, 9375, 28178, 450_775, 9_780_504, 1_795_265_022u64].iter().all(|base| {
-        let mut x = pow(base % n, odd, n);
-        let mut is_probable = x == 1 || x == n - 1 || base.is_multiple_of(n);
-        for _ in 1..zeros {
-            x = mul(x, x, n);
-            is_probable |= x == n - 1;
-        }
-        is_probable
-    })
+    [2, 325, 9375, 28178, 450_775, 9_780_504, 1_795_265_022u64]
+        .iter()
+        .all(|base| {
+            let mut x = pow(base % n, odd, n);
+            let mut is_probable = x == 1 || x == n - 1 || base.is_multiple_of(n);
+            for _ in 1..zeros {
+                x = mul(x, x, n);
+                is_probable |= x == n - 1;
+            }
+            is_probable
+        })
 }
 
 #[cfg(test)]

@@ -60,14 +60,26 @@ impl Delaunay {
     /// # Errors
     ///
     /// Those of [`Self::new`].
-    pub fn with_seed(points: &[[f32; 3]], seed: u64, watch: &dyn Watch) -> Result<Self, DelaunayError> {
+    pub fn with_seed(
+        points: &[[f32; 3]],
+        seed: u64,
+        watch: &dyn Watch,
+    ) -> Result<Self, DelaunayError> {
         if points.len() > MOST_POINTS {
-            return Err(DelaunayError::TooManyPoints { points: points.len(), most: MOST_POINTS });
+            return Err(DelaunayError::TooManyPoints {
+                points: points.len(),
+                most: MOST_POINTS,
+            });
         }
         if let Some(index) = points.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
-            return Err(DelaunayError::NotFinite { index, point: points[index] });
+            return Err(DelaunayError::NotFinite {
+                index,
+                point: points[index],
+            });
         }
-        watch.needs(points.len() as u64 * BYTES_A_POINT).map_err(DelaunayError::Memory)?;
+        watch
+            .needs(points.len() as u64 * BYTES_A_POINT)
+            .map_err(DelaunayError::Memory)?;
         let corners = corners(points)?;
         let curve = Curve::new(corners[0], corners[7]);
         let order = insertion_order(points, &curve, seed);
@@ -83,12 +95,17 @@ impl Delaunay {
                     // Points on few curves have far more tetrahedra than others.
                     watch.needs(mesh.bytes()).map_err(DelaunayError::Memory)?;
                 }
-                mesh.insert(number).map_err(|refusal| refusal.of(number, points[number as usize]))?;
+                mesh.insert(number)
+                    .map_err(|refusal| refusal.of(number, points[number as usize]))?;
             }
             mesh.into_cells()
         };
         let (tetrahedra, neighbours) = arranged(&all, &curve, cells, &alive);
-        Ok(Self { points: all, tetrahedra, neighbours })
+        Ok(Self {
+            points: all,
+            tetrahedra,
+            neighbours,
+        })
     }
 }
 
@@ -103,7 +120,12 @@ fn arranged(
         *cell = ascending(*cell);
     }
     let centre = |corners: [u32; 4]| {
-        let sum = |k: usize| corners.iter().map(|c| f64::from(points[*c as usize][k])).sum::<f64>();
+        let sum = |k: usize| {
+            corners
+                .iter()
+                .map(|c| f64::from(points[*c as usize][k]))
+                .sum::<f64>()
+        };
         [sum(0) * 0.25, sum(1) * 0.25, sum(2) * 0.25]
     };
     let mut order: Vec<(u64, u32)> = (0..)
@@ -120,7 +142,10 @@ fn arranged(
     let tetrahedra = order.iter().map(|(_, old)| corners(*old)).collect();
     // `NONE` is beyond the end and stays.
     let number = |old: u32| renumbered.get(old as usize).copied().unwrap_or(NONE);
-    let neighbours = order.iter().map(|(_, old)| cells[*old as usize].across.map(number)).collect();
+    let neighbours = order
+        .iter()
+        .map(|(_, old)| cells[*old as usize].across.map(number))
+        .collect();
     (tetrahedra, neighbours)
 }
 
@@ -133,5 +158,8 @@ fn ascending(cell: Cell) -> Cell {
     if pairs.filter(|&(i, j)| by_corner[i] > by_corner[j]).count() % 2 == 1 {
         by_corner.swap(2, 3);
     }
-    Cell { corners: by_corner.map(|k| cell.corners[k]), across: by_corner.map(|k| cell.across[k]) }
+    Cell {
+        corners: by_corner.map(|k| cell.corners[k]),
+        across: by_corner.map(|k| cell.across[k]),
+    }
 }

@@ -14,8 +14,13 @@ pub(super) struct Curve {
 impl Curve {
     /// The curve through the least cube that starts at `lower` and holds `upper`, which is larger.
     pub(super) fn new(lower: [f32; 3], upper: [f32; 3]) -> Self {
-        let extent = (0..3).map(|k| f64::from(upper[k]) - f64::from(lower[k])).fold(0.0, f64::max);
-        Self { lower: lower.map(f64::from), scale: f64::from(1 << BITS) / extent }
+        let extent = (0..3)
+            .map(|k| f64::from(upper[k]) - f64::from(lower[k]))
+            .fold(0.0, f64::max);
+        Self {
+            lower: lower.map(f64::from),
+            scale: f64::from(1 << BITS) / extent,
+        }
     }
 
     /// The place of a point of the cube along the curve.
@@ -111,7 +116,13 @@ mod tests {
         assert!(sorted.into_iter().eq(0..4096));
         // Within a round places ascend, so the last descent is where the last round starts.
         let place = |k: u32| curve.place(points[k as usize].map(f64::from));
-        let last = order.windows(2).rposition(|w| place(w[0]) > place(w[1])).unwrap();
-        assert!((1900..2200).contains(&last), "the last round starts at {last}");
+        let last = order
+            .windows(2)
+            .rposition(|w| place(w[0]) > place(w[1]))
+            .unwrap();
+        assert!(
+            (1900..2200).contains(&last),
+            "the last round starts at {last}"
+        );
     }
 }

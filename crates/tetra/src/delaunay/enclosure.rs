@@ -16,8 +16,13 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
             upper[axis] = upper[axis].max(p[axis]);
         }
     }
-    let reach = lower.iter().chain(&upper).fold(0.0f32, |m, c| m.max(c.abs()));
-    let extent = (0..3).map(|axis| f64::from(upper[axis]) - f64::from(lower[axis])).fold(0.0, f64::max);
+    let reach = lower
+        .iter()
+        .chain(&upper)
+        .fold(0.0f32, |m, c| m.max(c.abs()));
+    let extent = (0..3)
+        .map(|axis| f64::from(upper[axis]) - f64::from(lower[axis]))
+        .fold(0.0, f64::max);
     let step = step(extent, f64::from(reach));
     let mut bounds = [[0.0f32; 3]; 2];
     for axis in 0..3 {
@@ -32,7 +37,9 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
         bounds[0][axis] = down as f32;
         bounds[1][axis] = up as f32;
     }
-    Ok(std::array::from_fn(|k| std::array::from_fn(|axis| bounds[k >> axis & 1][axis])))
+    Ok(std::array::from_fn(|k| {
+        std::array::from_fn(|axis| bounds[k >> axis & 1][axis])
+    }))
 }
 
 /// The power of two for the corners' grid: the largest that is at most a sixteenth of the extent, or more
@@ -40,7 +47,9 @@ pub(super) fn corners(points: &[[f32; 3]]) -> Result<[[f32; 3]; 8], DelaunayErro
 fn step(extent: f64, reach: f64) -> f64 {
     let wanted = floor_power(extent) / 16.0;
     // 2⁻¹⁴⁹ is the least f32. f64 holds all of these powers.
-    let step = wanted.max(floor_power(reach) / f64::from(1 << 20)).max(f64::from(f32::from_bits(1)));
+    let step = wanted
+        .max(floor_power(reach) / f64::from(1 << 20))
+        .max(f64::from(f32::from_bits(1)));
     if reach == 0.0 { 1.0 } else { step }
 }
 

@@ -14,7 +14,9 @@ pub enum DelaunayError {
         point: [f32; 3],
     },
     /// Two points are equal.
-    #[error("points {first} and {second} are both {point:?}: points must be distinct; keep one of them")]
+    #[error(
+        "points {first} and {second} are both {point:?}: points must be distinct; keep one of them"
+    )]
     Duplicate {
         /// The smaller number.
         first: u32,

@@ -57,20 +57,36 @@ impl<'a> Mesh<'a> {
             }
             let mut others = (0..8).filter(|k| bits >> k & 1 == 0).map(|k| first + k);
             if others.all(|e| !predicates.conflicts(corners, e)) {
-                cells.push(Cell { corners, across: [NONE; 4] });
+                cells.push(Cell {
+                    corners,
+                    across: [NONE; 4],
+                });
             }
         }
         for i in 0..cells.len() {
             for k in 0..4 {
                 let corners = cells[i].corners;
-                let has_face = |cell: &Cell| (0..4).all(|m| m == k || cell.corners.contains(&corners[m]));
-                let other = cells.iter().enumerate().position(|(j, cell)| j != i && has_face(cell));
+                let has_face =
+                    |cell: &Cell| (0..4).all(|m| m == k || cell.corners.contains(&corners[m]));
+                let other = cells
+                    .iter()
+                    .enumerate()
+                    .position(|(j, cell)| j != i && has_face(cell));
                 cells[i].across[k] = other.map_or(NONE, |j| j as u32);
             }
         }
         let marks = vec![0; cells.len()];
         let (free, conflicts, border) = (Vec::new(), Vec::new(), Vec::new());
-        Self { predicates, cells, marks, free, inserted: 0, last: 0, conflicts, border }
+        Self {
+            predicates,
+            cells,
+            marks,
+            free,
+            inserted: 0,
+            last: 0,
+            conflicts,
+            border,
+        }
     }
 
     /// About the memory that the cells take once they are in order.
@@ -91,8 +107,10 @@ impl<'a> Mesh<'a> {
     /// The number of the corner that the point equals, or that there are too many tetrahedra.
     pub(super) fn insert(&mut self, point: u32) -> Result<(), Refusal> {
         let start = self.find(point);
-        if let Some(&same) =
-            self.cells[start as usize].corners.iter().find(|c| self.predicates.same(**c, point))
+        if let Some(&same) = self.cells[start as usize]
+            .corners
+            .iter()
+            .find(|c| self.predicates.same(**c, point))
         {
             return Err(Refusal::Same(same));
         }
@@ -151,7 +169,9 @@ impl<'a> Mesh<'a> {
                 }
                 let mark = &mut self.marks[next as usize];
                 if *mark != inside && *mark != inside + 1 {
-                    let conflicts = self.predicates.conflicts(self.cells[next as usize].corners, point);
+                    let conflicts = self
+                        .predicates
+                        .conflicts(self.cells[next as usize].corners, point);
                     *mark = if conflicts { inside } else { inside + 1 };
                     if conflicts {
                         self.conflicts.push(next);
@@ -167,10 +187,16 @@ impl<'a> Mesh<'a> {
     /// Makes the cell of the point and a border face, and connects it with the cell outside. The cell in
     /// conflict then has the new cell across that face.
     fn join(&mut self, point: u32, (old, k): (u32, usize)) -> Result<(), Refusal> {
-        let Cell { mut corners, across } = self.cells[old as usize];
+        let Cell {
+            mut corners,
+            across,
+        } = self.cells[old as usize];
         corners[k] = point;
         let outside = across[k];
-        let mut cell = Cell { corners, across: [NONE; 4] };
+        let mut cell = Cell {
+            corners,
+            across: [NONE; 4],
+        };
         cell.across[k] = outside;
         let new = match self.free.pop() {
             Some(new) => {
@@ -179,7 +205,9 @@ impl<'a> Mesh<'a> {
                 new
             }
             None => {
-                let new = u32::try_from(self.cells.len()).ok().filter(|new| *new != NONE);
+                let new = u32::try_from(self.cells.len())
+                    .ok()
+                    .filter(|new| *new != NONE);
                 self.cells.push(cell);
                 self.marks.push(0);
                 new.ok_or(Refusal::Full)?
@@ -240,9 +268,11 @@ impl Refusal {
     /// The error of the whole construction, when `point` was refused.
     pub(super) fn of(self, number: u32, point: [f32; 3]) -> DelaunayError {
         match self {
-            Self::Same(other) => {
-                DelaunayError::Duplicate { first: other.min(number), second: other.max(number), point }
-            }
+            Self::Same(other) => DelaunayError::Duplicate {
+                first: other.min(number),
+                second: other.max(number),
+                point,
+            },
             Self::Full => DelaunayError::TooManyTetrahedra,
         }
     }

@@ -60,13 +60,21 @@ impl<'a> Predicates<'a> {
     /// Prepares the predicates of some points, which are finite.
     pub(super) fn new(points: &'a [[f32; 3]]) -> Self {
         let exponents = points.as_flattened().iter().map(|&c| dyadic(f64::from(c)));
-        let least = exponents.filter(|(m, _)| *m != 0).map(|(_, e)| e).min().unwrap_or(0);
+        let least = exponents
+            .filter(|(m, _)| *m != 0)
+            .map(|(_, e)| e)
+            .min()
+            .unwrap_or(0);
         // All coordinates are multiples of the unit, so all values of degree k are multiples of its k-th
         // power. Multiples of one number up to 2⁵³ times it are exact in f64. The powers are at least 2⁻⁷⁴⁵.
         let unit = f64::from_bits(((1023 + least) as u64) << 52);
         let most = f64::from(2).powi(53);
         let cube = unit * unit * unit;
-        Self { points, exact3: most * cube, exact5: most * (cube * unit * unit) }
+        Self {
+            points,
+            exact3: most * cube,
+            exact5: most * (cube * unit * unit),
+        }
     }
 
     fn at(&self, k: u32) -> [f32; 3] {
@@ -82,7 +90,8 @@ impl<'a> Predicates<'a> {
     pub(super) fn orient(&self, corners: [u32; 4]) -> Ordering {
         let [a, b, c, d] = corners.map(|k| self.at(k));
         let rows = [b, c, d].map(|p| minus(p, a));
-        self.orient_filtered(&rows).unwrap_or_else(|| orient3d_sign(a.into(), b.into(), c.into(), d.into()))
+        self.orient_filtered(&rows)
+            .unwrap_or_else(|| orient3d_sign(a.into(), b.into(), c.into(), d.into()))
     }
 
     /// Returns the sign of the determinant of differences of points if `f64` decides it.
@@ -104,8 +113,13 @@ impl<'a> Predicates<'a> {
             Some((side, _)) => return side == Ordering::Greater,
             None => {
                 let [a, b, c, d] = corners.map(|k| Vec3::from(self.at(k)));
-                let exact = differences(Vec3::from(origin).as_dvec3(), [a, b, c, d].map(|p| p.as_dvec3()));
-                exact.and_then(small_signs).unwrap_or_else(|| big_signs(origin, corners.map(|k| self.at(k))))
+                let exact = differences(
+                    Vec3::from(origin).as_dvec3(),
+                    [a, b, c, d].map(|p| p.as_dvec3()),
+                );
+                exact
+                    .and_then(small_signs)
+                    .unwrap_or_else(|| big_signs(origin, corners.map(|k| self.at(k))))
             }
         };
         match side {
@@ -125,11 +139,14 @@ impl<'a> Predicates<'a> {
         let size = most[0] * most[1] * most[2] * (longest * longest);
         let cofactors = cofactors(rows);
         let lift = |k: usize| square(&rows[k]);
-        let value =
-            cofactors[0] * lift(0) + cofactors[1] * lift(1) + cofactors[2] * lift(2) + cofactors[3] * lift(3);
+        let value = cofactors[0] * lift(0)
+            + cofactors[1] * lift(1)
+            + cofactors[2] * lift(2)
+            + cofactors[3] * lift(3);
         // In the second case every difference, cofactor, lift and sum is exact: none is larger than the sum
         // of all magnitudes of its degree.
-        (value.abs() > CONFLICT_BOUND * size || 72.0 * size <= self.exact5).then(|| (sign(value), cofactors))
+        (value.abs() > CONFLICT_BOUND * size || 72.0 * size <= self.exact5)
+            .then(|| (sign(value), cofactors))
     }
 }
 
@@ -170,7 +187,10 @@ fn small_signs(rows: [[f64; 3]; 4]) -> Option<(Ordering, [Ordering; 4])> {
     // Below 2¹²⁶ and 2⁸⁴.
     let cofactors = cofactors(&rows);
     let lifts = rows.each_ref().map(square);
-    Some((sum_of_products(cofactors, lifts), cofactors.map(|c| c.cmp(&0))))
+    Some((
+        sum_of_products(cofactors, lifts),
+        cofactors.map(|c| c.cmp(&0)),
+    ))
 }
 
 /// The sign of Σ cᵢ·lᵢ for |cᵢ| < 2¹²⁶ and 0 ≤ lᵢ < 2⁸⁴.
@@ -202,15 +222,32 @@ fn big_signs(e: [f32; 3], corners: [[f32; 3]; 4]) -> (Ordering, [Ordering; 4]) {
     let [e, a, b, c, d] = big_rows([e.map(f64::from), a, b, c, d]);
     let rows = [a, b, c, d].map(|p| minus_big(&p, &e));
     let cofactors = cofactors(&rows);
-    let sum = cofactors.iter().zip(&rows).fold(IBig::ZERO, |sum, (c, row)| sum + c * square(row));
+    let sum = cofactors
+        .iter()
+        .zip(&rows)
+        .fold(IBig::ZERO, |sum, (c, row)| sum + c * square(row));
     (sum.cmp(&IBig::ZERO), cofactors.map(|c| c.cmp(&IBig::ZERO)))
 }
 
 /// Finite coordinates as integers times one power of two.
 fn big_rows<const N: usize>(rows: [[f64; 3]; N]) -> [[IBig; 3]; N] {
     let parts = rows.map(|row| row.map(dyadic));
-    let least = parts.as_flattened().iter().filter(|(m, _)| *m != 0).map(|(_, e)| *e).min().unwrap_or(0);
-    parts.map(|row| row.map(|(m, e)| if m == 0 { IBig::ZERO } else { IBig::from(m) << (e - least) as usize }))
+    let least = parts
+        .as_flattened()
+        .iter()
+        .filter(|(m, _)| *m != 0)
+        .map(|(_, e)| *e)
+        .min()
+        .unwrap_or(0);
+    parts.map(|row| {
+        row.map(|(m, e)| {
+            if m == 0 {
+                IBig::ZERO
+            } else {
+                IBig::from(m) << (e - least) as usize
+            }
+        })
+    })
 }
 
 fn minus_big(p: &[IBig; 3], q: &[IBig; 3]) -> [IBig; 3] {

@@ -17,7 +17,11 @@ impl Delaunay {
         if !(0..3).all(|k| f64::from(lower[k]) <= x[k] && x[k] <= f64::from(upper[k])) {
             return None;
         }
-        let mut at = if (hint as usize) < self.tetrahedra.len() { hint } else { 0 };
+        let mut at = if (hint as usize) < self.tetrahedra.len() {
+            hint
+        } else {
+            0
+        };
         let mut from = NONE;
         'walk: loop {
             for (k, &next) in self.neighbours[at as usize].iter().enumerate() {
@@ -74,7 +78,11 @@ impl Delaunay {
         let [b, c, d] = [minus(corners[1]), minus(corners[2]), minus(corners[3])];
         let y = minus(x);
         let cross = |p: [f64; 3], q: [f64; 3]| {
-            [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+            [
+                p[1] * q[2] - p[2] * q[1],
+                p[2] * q[0] - p[0] * q[2],
+                p[0] * q[1] - p[1] * q[0],
+            ]
         };
         let dot = |p: [f64; 3], q: [f64; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
         // Relative to corner a the sphere passes through the origin, and the power is y·y − y·(2 centre) with
@@ -85,7 +93,8 @@ impl Delaunay {
         if volume <= 0.0 {
             return dot(y, y);
         }
-        let twice_centre: [f64; 3] = std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
+        let twice_centre: [f64; 3] =
+            std::array::from_fn(|k| (b2 * cd[k] + c2 * db[k] + d2 * bc[k]) / volume);
         dot(y, std::array::from_fn(|k| y[k] - twice_centre[k]))
     }
 }

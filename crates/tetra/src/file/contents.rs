@@ -33,7 +33,11 @@ impl<'a> Contents<'a> {
     /// The lists in the bytes of a file, which must start at a multiple of 8. What is in the lists is not
     /// looked at.
     pub(super) fn of(file: &'a [u8], layout: &Layout) -> Self {
-        fn part<'a, T: AnyBitPattern>(file: &'a [u8], layout: &Layout, section: Section) -> &'a [T] {
+        fn part<'a, T: AnyBitPattern>(
+            file: &'a [u8],
+            layout: &Layout,
+            section: Section,
+        ) -> &'a [T] {
             // Sections start at multiples of 8 and end with a whole entry: `Layout::parse` has seen to it.
             cast_slice(&file[layout.range(section)])
         }
@@ -73,7 +77,9 @@ impl<'a> Contents<'a> {
     /// # Errors
     /// [`TetsError::Malformed`].
     pub fn check_numbers(&self) -> Result<(), TetsError> {
-        let Self { surfaces, cells, .. } = *self;
+        let Self {
+            surfaces, cells, ..
+        } = *self;
         if cells.points.len() < 8 {
             return Err(Section::Points.malformed("the corners of the box are not there"));
         }
@@ -81,11 +87,17 @@ impl<'a> Contents<'a> {
             return Err(Section::Points.malformed("a coordinate is not a finite number"));
         }
         let n = surfaces.points.len();
-        if surfaces.triangles.as_flattened().iter().any(|p| *p as usize >= n) {
+        if surfaces
+            .triangles
+            .as_flattened()
+            .iter()
+            .any(|p| *p as usize >= n)
+        {
             return Err(Section::Triangles.malformed("a corner is no point"));
         }
         let known = FLAT | BLOCKS | SHOWS | CLOSED;
-        if surfaces.flags.len() != surfaces.triangles.len() || surfaces.flags.iter().any(|f| f & !known != 0)
+        if surfaces.flags.len() != surfaces.triangles.len()
+            || surfaces.flags.iter().any(|f| f & !known != 0)
         {
             return Err(Section::Flags.malformed("it is not one known byte for each triangle"));
         }
@@ -94,13 +106,16 @@ impl<'a> Contents<'a> {
         {
             return Err(Section::Rounded.malformed("it is not a finite place for each vertex"));
         }
-        structure::check(cells, surfaces).map_err(|fault| Section::Cells.malformed(fault.to_string()))?;
+        structure::check(cells, surfaces)
+            .map_err(|fault| Section::Cells.malformed(fault.to_string()))?;
         if self.windings.len() != cells.cell_count() {
             return Err(Section::Windings.malformed("it is not one number for each cell"));
         }
         neighbours::check(self.boxes.neighbours, surfaces)
             .map_err(|reason| Section::Neighbours.malformed(reason))?;
-        self.boxes.check(surfaces).map_err(|reason| Section::Boxes.malformed(reason))
+        self.boxes
+            .check(surfaces)
+            .map_err(|reason| Section::Boxes.malformed(reason))
     }
 
     /// That the file is of the scene with a digest.
@@ -112,6 +127,9 @@ impl<'a> Contents<'a> {
             return Ok(());
         }
         let text = |d: &[u8; 32]| d.iter().map(|b| format!("{b:02x}")).collect();
-        Err(TetsError::OtherScene { found: text(&self.digest), wanted: text(digest) })
+        Err(TetsError::OtherScene {
+            found: text(&self.digest),
+            wanted: text(digest),
+        })
     }
 }

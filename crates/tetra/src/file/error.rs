@@ -17,10 +17,14 @@ pub enum TetsError {
     #[error("cannot write the .tets file: {0}")]
     Write(#[source] std::io::Error),
     /// The first bytes are others.
-    #[error("this is not a .tets file (it begins otherwise); name a file that `sightline tetra` wrote")]
+    #[error(
+        "this is not a .tets file (it begins otherwise); name a file that `sightline tetra` wrote"
+    )]
     NotTets,
     /// The file has another version of the format.
-    #[error("this .tets file has format version {found}, this program reads version {known}; build it again")]
+    #[error(
+        "this .tets file has format version {found}, this program reads version {known}; build it again"
+    )]
     Version {
         /// The version of the file.
         found: u32,

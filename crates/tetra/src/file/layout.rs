@@ -118,7 +118,10 @@ impl Section {
     }
 
     pub(super) fn malformed(self, reason: impl Into<String>) -> TetsError {
-        TetsError::Malformed { section: self.name(), reason: reason.into() }
+        TetsError::Malformed {
+            section: self.name(),
+            reason: reason.into(),
+        }
     }
 }
 
@@ -149,19 +152,27 @@ impl Layout {
         let start = file.get(..TABLE_AT).ok_or_else(|| short(HEADER as u64))?;
         let found = u32_at(start, 8);
         if found != VERSION {
-            return Err(TetsError::Version { found, known: VERSION });
+            return Err(TetsError::Version {
+                found,
+                known: VERSION,
+            });
         }
         let header = file.get(..HEADER).ok_or_else(|| short(HEADER as u64))?;
         if crc(&header[..CRC_AT], &header[TABLE_AT..]) != u32_at(header, CRC_AT) {
             return Err(TetsError::Altered { section: "header" });
         }
-        let malformed = |reason: &str| TetsError::Malformed { section: "header", reason: reason.to_owned() };
+        let malformed = |reason: &str| TetsError::Malformed {
+            section: "header",
+            reason: reason.to_owned(),
+        };
         let expected = u64_at(header, 16);
         if actual < expected {
             return Err(short(expected));
         }
         if actual > expected || u32_at(header, 12) as usize != SECTIONS || u32_at(header, 60) != 0 {
-            return Err(malformed("it is not the header of a file of this length and version"));
+            return Err(malformed(
+                "it is not the header of a file of this length and version",
+            ));
         }
         let mut ranges = [const { 0..0 }; SECTIONS];
         let mut at = HEADER;
@@ -179,7 +190,9 @@ impl Layout {
                 return Err(malformed("a section reaches beyond the end of the file"));
             };
             if crc32c::crc32c(bytes) != u32_at(header, entry + 4) || gap.iter().any(|b| *b != 0) {
-                return Err(TetsError::Altered { section: section.name() });
+                return Err(TetsError::Altered {
+                    section: section.name(),
+                });
             }
             if !bytes.len().is_multiple_of(section.entry()) {
                 return Err(section.malformed("its last entry is not whole"));
@@ -227,7 +240,11 @@ pub(crate) fn seal(file: &mut [u8]) {
     for entry in (TABLE_AT..HEADER).step_by(24) {
         let number = |at: usize| usize::try_from(u64_at(file, at)).unwrap_or(usize::MAX);
         let (from, length) = (number(entry + 8), number(entry + 16));
-        let Some(crc) = from.checked_add(length).and_then(|to| file.get(from..to)).map(crc32c::crc32c) else {
+        let Some(crc) = from
+            .checked_add(length)
+            .and_then(|to| file.get(from..to))
+            .map(crc32c::crc32c)
+        else {
             return;
         };
         file[entry..][4..8].copy_from_slice(&crc.to_le_bytes());

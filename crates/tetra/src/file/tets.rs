@@ -19,8 +19,16 @@ pub struct Tets {
 
 /// Microseconds that a beam takes, and a box or a cell that it enters, on one machine
 /// (`docs/experiments/look.md`). Only their relations count.
-const OF_BOXES: Budget = Budget { beam: 2.0, step: 0.5, most: f64::INFINITY };
-const OF_CELLS: Budget = Budget { beam: 8.0, step: 1.0, most: f64::INFINITY };
+const OF_BOXES: Budget = Budget {
+    beam: 2.0,
+    step: 0.5,
+    most: f64::INFINITY,
+};
+const OF_CELLS: Budget = Budget {
+    beam: 8.0,
+    step: 1.0,
+    most: f64::INFINITY,
+};
 
 /// Size in bytes from which [`Tets::open`] maps a file instead of reading it: 256 MiB.
 pub const MAPPED_FROM: u64 = 256 << 20;
@@ -43,11 +51,16 @@ impl Bytes {
     /// fewer bytes, which the header's length shows.
     fn read(file: File, length: u64) -> std::io::Result<Self> {
         let no_memory = || std::io::Error::from(std::io::ErrorKind::OutOfMemory);
-        let count = usize::try_from(length).map_err(|_| no_memory())?.div_ceil(8);
+        let count = usize::try_from(length)
+            .map_err(|_| no_memory())?
+            .div_ceil(8);
         let mut words: Vec<u64> = Vec::new();
         words.try_reserve_exact(count).map_err(|_| no_memory())?;
         words.resize(count, 0);
-        let (bytes, mut file) = (bytemuck::cast_slice_mut::<u64, u8>(&mut words), file.take(length));
+        let (bytes, mut file) = (
+            bytemuck::cast_slice_mut::<u64, u8>(&mut words),
+            file.take(length),
+        );
         let mut filled = 0;
         loop {
             match file.read(&mut bytes[filled..]) {
@@ -62,7 +75,9 @@ impl Bytes {
 
 impl std::fmt::Debug for Tets {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Tets").field("layout", &self.layout).finish_non_exhaustive()
+        f.debug_struct("Tets")
+            .field("layout", &self.layout)
+            .finish_non_exhaustive()
     }
 }
 
@@ -79,7 +94,10 @@ impl Tets {
     /// [`TetsError`] for a file that cannot be read, was cut short or altered, or contradicts itself.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, TetsError> {
         let path = path.as_ref();
-        let failed = |source| TetsError::Open { path: path.to_owned(), source };
+        let failed = |source| TetsError::Open {
+            path: path.to_owned(),
+            source,
+        };
         let file = File::open(path).map_err(failed)?;
         let metadata = file.metadata().map_err(failed)?;
         if metadata.is_dir() {
@@ -110,7 +128,11 @@ impl Tets {
         let contents = Contents::of(bytes.get(), &layout);
         contents.check_numbers()?;
         let unit = Looker::unit(contents.cells.points);
-        Ok(Self { bytes, layout, unit })
+        Ok(Self {
+            bytes,
+            layout,
+            unit,
+        })
     }
 
     /// What is in the file.
@@ -119,7 +141,12 @@ impl Tets {
     }
 
     fn looker(&self) -> Looker<'_> {
-        let Contents { surfaces, cells, boxes, .. } = self.contents();
+        let Contents {
+            surfaces,
+            cells,
+            boxes,
+            ..
+        } = self.contents();
         Looker::with_unit(surfaces, boxes, cells, self.unit)
     }
 
@@ -162,7 +189,12 @@ impl Tets {
     ///
     /// # Errors
     /// [`LookError`] for numbers that are out of range.
-    pub fn sees(&self, x: [f64; 3], target: &Target, scratch: &mut Scratch) -> Result<f64, LookError> {
+    pub fn sees(
+        &self,
+        x: [f64; 3],
+        target: &Target,
+        scratch: &mut Scratch,
+    ) -> Result<f64, LookError> {
         self.sees_in(x, target, &View::default(), Mode::Exact, scratch)
     }
 
@@ -200,12 +232,23 @@ impl Tets {
         }
         let looker = self.looker();
         let is_enough = |engine, budget: &Budget, scratch: &mut Scratch| {
-            let view = View { engine, witnesses: false, ..view.clone() };
+            let view = View {
+                engine,
+                witnesses: false,
+                ..view.clone()
+            };
             looker.look_for(x, (&view, mode), budget, scratch)
         };
         is_enough(Engine::Boxes, &OF_BOXES, scratch)?;
         // Cells are followed only for as long as they may be the faster ones.
-        let cells = Budget { most: OF_BOXES.cost(&scratch.seen), ..OF_CELLS };
-        Ok(if is_enough(Engine::Cells, &cells, scratch)? { Engine::Cells } else { Engine::Boxes })
+        let cells = Budget {
+            most: OF_BOXES.cost(&scratch.seen),
+            ..OF_CELLS
+        };
+        Ok(if is_enough(Engine::Cells, &cells, scratch)? {
+            Engine::Cells
+        } else {
+            Engine::Boxes
+        })
     }
 }

@@ -23,14 +23,22 @@ pub fn write(to: &mut dyn Write, contents: &Contents<'_>) -> Result<(), TetsErro
     for section in Section::ALL {
         let bytes = bytes(section, contents);
         let gap = at.next_multiple_of(8) - at;
-        to.write_all(&[0; 8][..gap]).and_then(|()| to.write_all(bytes)).map_err(TetsError::Write)?;
+        to.write_all(&[0; 8][..gap])
+            .and_then(|()| to.write_all(bytes))
+            .map_err(TetsError::Write)?;
         at += gap + bytes.len();
     }
     Ok(())
 }
 
 fn bytes<'a>(section: Section, contents: &Contents<'a>) -> &'a [u8] {
-    let Contents { surfaces, cells, windings, boxes, .. } = *contents;
+    let Contents {
+        surfaces,
+        cells,
+        windings,
+        boxes,
+        ..
+    } = *contents;
     match section {
         Section::Points => cast_slice(cells.points),
         Section::Triangles => cast_slice(surfaces.triangles),

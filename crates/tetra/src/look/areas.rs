@@ -9,17 +9,26 @@ use super::rounded::{V, cross, dot, unit};
 /// Plane Triangle", 1983).
 fn triangle(a: V, b: V, c: V) -> f64 {
     // The volume from differences: beside long vectors that nearly agree it loses the least.
-    let (p, q): (V, V) = (std::array::from_fn(|k| b[k] - a[k]), std::array::from_fn(|k| c[k] - a[k]));
+    let (p, q): (V, V) = (
+        std::array::from_fn(|k| b[k] - a[k]),
+        std::array::from_fn(|k| c[k] - a[k]),
+    );
     2.0 * libm::atan2(dot(a, cross(p, q)), 1.0 + dot(a, b) + dot(b, c) + dot(c, a))
 }
 
 /// The solid angle of a beam, in steradians.
 pub fn area(ring: &[Edge]) -> f64 {
-    let Some((first, rest)) = ring.split_first() else { return 0.0 };
+    let Some((first, rest)) = ring.split_first() else {
+        return 0.0;
+    };
     let first = unit(first.corner.way.v);
     let mut sum = 0.0;
     for pair in rest.windows(2) {
-        sum += triangle(first, unit(pair[0].corner.way.v), unit(pair[1].corner.way.v));
+        sum += triangle(
+            first,
+            unit(pair[0].corner.way.v),
+            unit(pair[1].corner.way.v),
+        );
     }
     sum.max(0.0)
 }
@@ -83,7 +92,11 @@ fn part(ring: &[Edge], cones: &[Cone]) -> Part {
         return Part::Thin(ways.iter().any(|w| cones.iter().all(|cone| cone.holds(*w))));
     }
     let mut border: Vec<Piece> = (0..ways.len())
-        .map(|k| Piece { from: ways[k], to: ways[(k + 1) % ways.len()], circle: None })
+        .map(|k| Piece {
+            from: ways[k],
+            to: ways[(k + 1) % ways.len()],
+            circle: None,
+        })
         .collect();
     for number in 0..cones.len() {
         match within(&border, cones, number, |v| inside_ring(&ways, v)) {
@@ -112,7 +125,11 @@ pub fn area_within(ring: &[Edge], cones: &[Cone]) -> Option<f64> {
     let sum = enclosed(&border, cones, |v| inside_ring(&ways, v)).rem_euclid(turn);
     let sum = if sum > PI { sum - turn } else { sum };
     // Not a number where the border is thinner than rounding everywhere.
-    Some(if sum.is_nan() { 0.0 } else { sum.clamp(0.0, area(ring)) })
+    Some(if sum.is_nan() {
+        0.0
+    } else {
+        sum.clamp(0.0, area(ring))
+    })
 }
 
 /// Whether the part of a beam that is within some cones is in another one as well, or there is none. The part
@@ -149,7 +166,11 @@ fn inside_ring(ways: &[V], v: V) -> bool {
 fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
     // Points of the piece: centre + cos(t)·e + sin(t)·f for t from 0 to its angle.
     let (centre, e, f, angle) = frame(piece, cones);
-    let (c, a, b) = (dot(centre, cone.axis) - cone.cosine, dot(e, cone.axis), dot(f, cone.axis));
+    let (c, a, b) = (
+        dot(centre, cone.axis) - cone.cosine,
+        dot(e, cone.axis),
+        dot(f, cone.axis),
+    );
     let size = (a * a + b * b).sqrt();
     if size <= c.abs() {
         return Vec::new();
@@ -159,7 +180,12 @@ fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
         .into_iter()
         .map(|t| t.rem_euclid(2.0 * PI))
         .filter(|t| *t < angle)
-        .map(|t| (t, std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k])))
+        .map(|t| {
+            (
+                t,
+                std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k]),
+            )
+        })
         .collect();
     found.sort_by(|x, y| x.0.total_cmp(&y.0));
     found
@@ -182,26 +208,45 @@ fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
             let to: V = std::array::from_fn(|k| piece.to[k] - centre[k]);
             let angle = libm::atan2(dot(f, to), dot(e, to)).rem_euclid(2.0 * PI);
             // A whole circle ends where it starts.
-            (centre, e, f, if piece.from == piece.to { 2.0 * PI } else { angle })
+            (
+                centre,
+                e,
+                f,
+                if piece.from == piece.to {
+                    2.0 * PI
+                } else {
+                    angle
+                },
+            )
         }
     }
 }
 
 /// The border of the part within one more cone; nothing if there is no such part.
-fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> bool) -> Option<Vec<Piece>> {
+fn within(
+    border: &[Piece],
+    cones: &[Cone],
+    number: usize,
+    holds: impl Fn(V) -> bool,
+) -> Option<Vec<Piece>> {
     let cone = &cones[number];
     let mut kept: Vec<Piece> = Vec::new();
     for piece in border {
         let (centre, e, f, angle) = frame(piece, cones);
-        let at =
-            |t: f64| -> V { std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k]) };
+        let at = |t: f64| -> V {
+            std::array::from_fn(|k| centre[k] + libm::cos(t) * e[k] + libm::sin(t) * f[k])
+        };
         let mut stops = vec![(0.0, piece.from)];
         stops.extend(crossings(piece, cones, cone));
         stops.push((angle, piece.to));
         for pair in stops.windows(2) {
             // Between two crossings all of the piece is on one side.
             if pair[1].0 - pair[0].0 > SHORTEST && cone.holds(at((pair[0].0 + pair[1].0) / 2.0)) {
-                kept.push(Piece { from: pair[0].1, to: pair[1].1, circle: piece.circle });
+                kept.push(Piece {
+                    from: pair[0].1,
+                    to: pair[1].1,
+                    circle: piece.circle,
+                });
             }
         }
     }
@@ -214,7 +259,11 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
         let e = unit(cross(cone.axis, smallest_axis(cone.axis)));
         let sine = (1.0 - cone.cosine * cone.cosine).max(0.0).sqrt();
         let start: V = std::array::from_fn(|k| cone.axis[k] * cone.cosine + e[k] * sine);
-        return Some(vec![Piece { from: start, to: start, circle: Some(number) }]);
+        return Some(vec![Piece {
+            from: start,
+            to: start,
+            circle: Some(number),
+        }]);
     }
     // Arcs of the new circle join what was cut off.
     let mut closed = Vec::new();
@@ -222,7 +271,11 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
         closed.push(*piece);
         let next = &kept[(k + 1) % kept.len()];
         if !is_near(&piece.to, &next.from) {
-            closed.push(Piece { from: piece.to, to: next.from, circle: Some(number) });
+            closed.push(Piece {
+                from: piece.to,
+                to: next.from,
+                circle: Some(number),
+            });
         }
     }
     Some(closed)
@@ -230,7 +283,9 @@ fn within(border: &[Piece], cones: &[Cone], number: usize, holds: impl Fn(V) -> 
 
 /// The coordinate axis that a vector is farthest from.
 fn smallest_axis(v: V) -> V {
-    let least = (0..3).min_by(|a, b| v[*a].abs().total_cmp(&v[*b].abs())).unwrap_or(0);
+    let least = (0..3)
+        .min_by(|a, b| v[*a].abs().total_cmp(&v[*b].abs()))
+        .unwrap_or(0);
     std::array::from_fn(|k| f64::from(u8::from(k == least)))
 }
 

@@ -26,17 +26,31 @@ pub type Ring = Vec<Edge>;
 pub fn octant(planes: &mut Planes, eye: &Eye<'_>, signs: u32, ring: &mut Ring) {
     let sides: [Side; 3] = std::array::from_fn(|k| {
         let normal = std::array::from_fn(|j| f64::from(u8::from(j == k)));
-        let side = planes.add(Plane { kind: Kind::Normal(normal), normal: Rounded::exact(normal) });
-        if signs >> k & 1 == 1 { side.other() } else { side }
+        let side = planes.add(Plane {
+            kind: Kind::Normal(normal),
+            normal: Rounded::exact(normal),
+        });
+        if signs >> k & 1 == 1 {
+            side.other()
+        } else {
+            side
+        }
     });
     // An odd number of reflections turns the ring.
-    let order = if signs.count_ones().is_multiple_of(2) { [0, 1, 2] } else { [0, 2, 1] };
+    let order = if signs.count_ones().is_multiple_of(2) {
+        [0, 1, 2]
+    } else {
+        [0, 2, 1]
+    };
     let sides = order.map(|k| sides[k]);
     let zero = Rounded::default();
     ring.clear();
     for k in 0..3 {
         let corner = planes.corner(eye, [sides[(k + 2) % 3], sides[k]], &zero, &zero);
-        ring.push(Edge { corner, side: sides[k] });
+        ring.push(Edge {
+            corner,
+            side: sides[k],
+        });
     }
 }
 
@@ -53,7 +67,13 @@ pub enum Place {
 
 /// The sides of all corners, and what follows for the beam.
 #[inline]
-pub fn place(planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge], side: Side, signs: &mut Vec<i32>) -> Place {
+pub fn place(
+    planes: &mut Planes,
+    eye: &Eye<'_>,
+    ring: &[Edge],
+    side: Side,
+    signs: &mut Vec<i32>,
+) -> Place {
     signs.clear();
     let (mut inner, mut outer) = (false, false);
     let plane = planes.list[side.plane()];
@@ -94,20 +114,35 @@ pub fn cut(
                 inside.push(*edge);
                 let corner = meet(planes, [edge.side, side]);
                 inside.push(Edge { corner, side });
-                outside.push(Edge { corner, side: edge.side });
+                outside.push(Edge {
+                    corner,
+                    side: edge.side,
+                });
             }
             (-1, 1) => {
                 outside.push(*edge);
                 let corner = meet(planes, [side, edge.side]);
-                outside.push(Edge { corner, side: side.other() });
-                inside.push(Edge { corner, side: edge.side });
+                outside.push(Edge {
+                    corner,
+                    side: side.other(),
+                });
+                inside.push(Edge {
+                    corner,
+                    side: edge.side,
+                });
             }
             (0, -1) => {
-                inside.push(Edge { corner: edge.corner, side });
+                inside.push(Edge {
+                    corner: edge.corner,
+                    side,
+                });
                 outside.push(*edge);
             }
             (0, 1) => {
-                outside.push(Edge { corner: edge.corner, side: side.other() });
+                outside.push(Edge {
+                    corner: edge.corner,
+                    side: side.other(),
+                });
                 inside.push(*edge);
             }
             // An edge in the plane itself cannot be: then all of the beam would be on one side.
@@ -122,7 +157,9 @@ pub fn cut(
 pub fn middle(planes: &Planes, ring: &[Edge]) -> Option<[f64; 3]> {
     let way = Rounded::exact(center(ring)).scaled();
     let way = Rounded::exact(way.v);
-    let inside = ring.iter().all(|e| way.dot(&planes.normal(e.side)).sign() == Some(1));
+    let inside = ring
+        .iter()
+        .all(|e| way.dot(&planes.normal(e.side)).sign() == Some(1));
     inside.then_some(way.v)
 }
 
@@ -161,7 +198,9 @@ pub fn radius(ring: &[Edge]) -> f64 {
     let middle = unit(center(ring));
     ring.iter().fold(0.0f64, |most, e| {
         let way = unit(e.corner.way.v);
-        most.max((0..3).fold(0.0, |sum, k| sum + (way[k] - middle[k]) * (way[k] - middle[k])))
+        most.max((0..3).fold(0.0, |sum, k| {
+            sum + (way[k] - middle[k]) * (way[k] - middle[k])
+        }))
     })
 }
 
@@ -175,7 +214,9 @@ pub fn reach(ring: &[Edge], face: &Facing) -> f64 {
         if least <= 0.0 {
             return f64::INFINITY;
         }
-        let size = way.v.iter().fold(0.0, |sum, c| sum + (c.abs() + way.error) * (c.abs() + way.error));
+        let size = way.v.iter().fold(0.0, |sum, c| {
+            sum + (c.abs() + way.error) * (c.abs() + way.error)
+        });
         let times = (face.height.value + face.height.error) / least;
         most.max(times * times * size * (1.0 + BOUND))
     })

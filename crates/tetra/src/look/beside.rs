@@ -28,9 +28,17 @@ impl Edges {
     pub fn of(eye: &Eye<'_>, points: [u32; 3]) -> Option<Self> {
         let places = points.map(|p| eye.point(p));
         let minus = |p: V, q: V| [p[0] - q[0], p[1] - q[1], p[2] - q[2]];
-        let along = [minus(places[1], places[0]), minus(places[2], places[1]), minus(places[0], places[2])];
+        let along = [
+            minus(places[1], places[0]),
+            minus(places[2], places[1]),
+            minus(places[0], places[2]),
+        ];
         let ways = places.map(|p| minus(p, eye.x));
-        let mut normals = [cross(ways[0], along[0]), cross(ways[1], along[1]), cross(ways[2], along[2])];
+        let mut normals = [
+            cross(ways[0], along[0]),
+            cross(ways[1], along[1]),
+            cross(ways[2], along[2]),
+        ];
         let sizes = [0, 1, 2].map(|k| size(ways[k]) * size(along[k]));
         // The way to the third point is the way to the first one and the vector from there, and the normal is
         // perpendicular to the first.
@@ -41,7 +49,11 @@ impl Edges {
             1 => {}
             _ => normals = normals.map(|n| n.map(|c| -c)),
         }
-        Some(Self { points, normals, sizes })
+        Some(Self {
+            points,
+            normals,
+            sizes,
+        })
     }
 
     /// Whether it is certain that no direction of a ring's interior is in the triangle, because one of its
@@ -81,7 +93,11 @@ mod tests {
         let point = [-3i8..4, -3i8..4, -3i8..4];
         (prop::collection::vec(point, 6), -60i32..60, 0u8..3).prop_map(|(points, power, moved)| {
             let place = |p: [i8; 3]| p.map(|c| f32::from(c) * f32::powi(2.0, power));
-            points.into_iter().map(place).map(|p| if moved == 0 { p } else { p.map(|c| c + 0.3) }).collect()
+            points
+                .into_iter()
+                .map(place)
+                .map(|p| if moved == 0 { p } else { p.map(|c| c + 0.3) })
+                .collect()
         })
     }
 
@@ -123,13 +139,26 @@ mod tests {
 
     #[test]
     fn a_triangle_across_an_edge_is_beside() {
-        let points = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [1.0, -1.0, 1.0]];
+        let points = [
+            [0.0, 0.0, 1.0],
+            [1.0, 0.0, 1.0],
+            [0.0, 1.0, 1.0],
+            [1.0, -1.0, 1.0],
+        ];
         let eye = Eye::new([-0.1, -0.2, 0.0], &points, &[], 0);
         let (mut planes, mut rings, mut ring) = (Planes::default(), Rings::default(), Vec::new());
         beam::octant(&mut planes, &eye, 0, &mut ring);
-        assert!(Outline::of(&eye, [0, 1, 2]).unwrap().clip(&mut planes, &eye, &ring, &mut rings));
+        assert!(
+            Outline::of(&eye, [0, 1, 2])
+                .unwrap()
+                .clip(&mut planes, &eye, &ring, &mut rings)
+        );
         for (triangle, beside) in [([1, 0, 3], true), ([0, 1, 2], false), ([0, 2, 3], false)] {
-            assert_eq!(Edges::of(&eye, triangle).unwrap().are_beside(&rings.inside), beside, "{triangle:?}");
+            assert_eq!(
+                Edges::of(&eye, triangle).unwrap().are_beside(&rings.inside),
+                beside,
+                "{triangle:?}"
+            );
         }
     }
 }

@@ -15,7 +15,13 @@ impl Search<'_> {
     pub(super) fn refine(&mut self, beam: &mut Beam) {
         let x = self.eye.x;
         let least = LARGE * beam::radius(&beam.ring);
-        let Scratch { sieve, refined, boxes, seen, .. } = &mut *self.scratch;
+        let Scratch {
+            sieve,
+            refined,
+            boxes,
+            seen,
+            ..
+        } = &mut *self.scratch;
         refined.clear();
         for entry in beam.pending.iter().rev() {
             if entry.count > 0 {
@@ -37,7 +43,11 @@ impl Search<'_> {
                     // The nearer one is taken first.
                     boxes.extend(if near_b < near_a { [a, b] } else { [b, a] });
                 } else {
-                    refined.push(Entry { key, first: number, count: 0 });
+                    refined.push(Entry {
+                        key,
+                        first: number,
+                        count: 0,
+                    });
                 }
             }
         }
@@ -45,7 +55,10 @@ impl Search<'_> {
         let mut least = f64::INFINITY;
         for entry in refined.iter().rev() {
             least = least.min(entry.key);
-            beam.pending.push(Entry { key: least, ..*entry });
+            beam.pending.push(Entry {
+                key: least,
+                ..*entry
+            });
         }
     }
 
@@ -56,14 +69,20 @@ impl Search<'_> {
         self.scratch.seen.cells += 1;
         let below = beam.pending.last().map_or(f64::INFINITY, |entry| entry.key);
         if node.count > 0 {
-            beam.pending.push(Entry { key: below.min(node.near(x)), first: node.first, count: node.count });
+            beam.pending.push(Entry {
+                key: below.min(node.near(x)),
+                first: node.first,
+                count: node.count,
+            });
             return;
         }
         let mut inside = [(0.0, 0); 2];
         let mut count = 0;
         for number in [node.first, node.first + 1] {
             let node = &self.scene.nodes[number as usize];
-            if !self.scratch.sieve.stops(node.low, node.high) && !self.limits.beyond(x, node.low, node.high) {
+            if !self.scratch.sieve.stops(node.low, node.high)
+                && !self.limits.beyond(x, node.low, node.high)
+            {
                 inside[count] = (node.near(x), number);
                 count += 1;
             }
@@ -74,7 +93,11 @@ impl Search<'_> {
         let mut least = below;
         for (key, first) in &inside[..count] {
             least = least.min(*key);
-            beam.pending.push(Entry { key: least, first: *first, count: 0 });
+            beam.pending.push(Entry {
+                key: least,
+                first: *first,
+                count: 0,
+            });
         }
     }
 }

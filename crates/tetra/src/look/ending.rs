@@ -14,7 +14,11 @@ impl Search<'_> {
     pub(super) fn end(&mut self, beam: &mut Beam, cap: Option<&Facing>) {
         self.scratch.seen.beams += 1;
         let (whole, near) = self.limits.areas(&beam.ring, cap);
-        if beam.caps.iter().any(|t| *t as usize >= self.scene.triangles.len()) {
+        if beam
+            .caps
+            .iter()
+            .any(|t| *t as usize >= self.scene.triangles.len())
+        {
             self.of_faces += near.unwrap_or_default();
             return;
         }
@@ -24,13 +28,19 @@ impl Search<'_> {
             let triangle = beam.met[k];
             undecided |= self.end_met(beam, cap, triangle) && self.flags(triangle) & BLOCKS != 0;
         }
-        let Scratch { planes, tally, seen, .. } = &mut *self.scratch;
+        let Scratch {
+            planes,
+            tally,
+            seen,
+            ..
+        } = &mut *self.scratch;
         let shows = |t: &&u32| self.scene.flags[**t as usize] & SHOWS != 0;
         if let Some(near) = near {
             for t in beam.caps.iter().filter(shows) {
                 tally.see(*t);
                 if !undecided {
-                    let way = || beam::middle(planes, &beam.ring).filter(|w| self.limits.hold(*w, cap));
+                    let way =
+                        || beam::middle(planes, &beam.ring).filter(|w| self.limits.hold(*w, cap));
                     tally.witness(*t, near, way);
                 }
             }
@@ -52,7 +62,9 @@ impl Search<'_> {
     /// cap.
     fn end_met(&mut self, beam: &Beam, cap: Option<&Facing>, triangle: u32) -> bool {
         let shows = self.flags(triangle) & SHOWS != 0;
-        let Some(facing) = self.facing(triangle) else { return false };
+        let Some(facing) = self.facing(triangle) else {
+            return false;
+        };
         if beam.whole {
             let outline = Outline::of(&self.eye, self.points(triangle));
             let planes = &mut self.scratch.planes;
@@ -63,7 +75,12 @@ impl Search<'_> {
             }
             return seen;
         }
-        let Scratch { planes, rings, tally, .. } = &mut *self.scratch;
+        let Scratch {
+            planes,
+            rings,
+            tally,
+            ..
+        } = &mut *self.scratch;
         let made = planes.list.len();
         rings.inside.clear();
         rings.inside.extend_from_slice(&beam.ring);
@@ -84,7 +101,15 @@ impl Search<'_> {
                 }
                 Place::Both => {
                     let signs = &rings.signs;
-                    beam::cut(planes, &self.eye, &rings.inside, side, signs, &mut rings.next, &mut rings.far);
+                    beam::cut(
+                        planes,
+                        &self.eye,
+                        &rings.inside,
+                        side,
+                        signs,
+                        &mut rings.next,
+                        &mut rings.far,
+                    );
                     std::mem::swap(&mut rings.inside, &mut rings.next);
                 }
             }
@@ -95,7 +120,9 @@ impl Search<'_> {
             if let (Some(near), true) = (near, shows) {
                 tally.see(triangle);
                 let limits = &self.limits;
-                let way = || beam::middle(planes, &rings.inside).filter(|w| limits.hold(*w, Some(&facing)));
+                let way = || {
+                    beam::middle(planes, &rings.inside).filter(|w| limits.hold(*w, Some(&facing)))
+                };
                 tally.witness(triangle, near, way);
             }
         }

@@ -27,8 +27,16 @@ pub struct Eye<'a> {
 impl<'a> Eye<'a> {
     /// A viewpoint; `unit` is a power of two that divides the scene's coordinates ([`unit_of`]).
     pub fn new(x: [f64; 3], points: &'a [[f32; 3]], more: &'a [[f64; 3]], unit: i32) -> Self {
-        let unit = more.iter().chain([&x]).fold(unit, |least, p| least.min(unit_of(p.iter().copied())));
-        Self { x, points, more, unit }
+        let unit = more
+            .iter()
+            .chain([&x])
+            .fold(unit, |least, p| least.min(unit_of(p.iter().copied())));
+        Self {
+            x,
+            points,
+            more,
+            unit,
+        }
     }
 
     /// A point by its number.
@@ -91,7 +99,11 @@ impl<'a> Eye<'a> {
             // What rounding took away (Knuth's two-sum): most often nothing, and then one number is enough.
             let back = d + q[k];
             let rest = (p[k] - back) - (q[k] - (back - d));
-            if rest == 0.0 && d.is_finite() { self.whole(d) } else { self.whole(p[k]) - self.whole(q[k]) }
+            if rest == 0.0 && d.is_finite() {
+                self.whole(d)
+            } else {
+                self.whole(p[k]) - self.whole(q[k])
+            }
         })
     }
 
@@ -100,13 +112,20 @@ impl<'a> Eye<'a> {
         // 0 has no exponent of its own.
         let shift = (exponent - self.unit).max(0) as usize;
         // A mantissa has 53 bits.
-        if shift <= 72 { IBig::from(i128::from(mantissa) << shift) } else { IBig::from(mantissa) << shift }
+        if shift <= 72 {
+            IBig::from(i128::from(mantissa) << shift)
+        } else {
+            IBig::from(mantissa) << shift
+        }
     }
 }
 
 /// The exponent of the largest power of two that divides all of some finite numbers; `i32::MAX` if all are 0.
 pub fn unit_of(numbers: impl Iterator<Item = f64>) -> i32 {
-    numbers.map(dyadic).filter(|d| d.0 != 0).fold(i32::MAX, |least, d| least.min(d.1))
+    numbers
+        .map(dyadic)
+        .filter(|d| d.0 != 0)
+        .fold(i32::MAX, |least, d| least.min(d.1))
 }
 
 /// a × b.
@@ -138,5 +157,8 @@ pub fn rounded(a: &Integers) -> Rounded {
     let v = a.each_ref().map(|c| (c >> cut).to_f64().value());
     let it = Rounded { v, error: 0.0 }.scaled();
     // What was cut off is less than one unit of 120 bits; the conversion rounds to nearest.
-    Rounded { error: it.size() * 2.0 * super::rounded::U, ..it }
+    Rounded {
+        error: it.size() * 2.0 * super::rounded::U,
+        ..it
+    }
 }

@@ -37,7 +37,11 @@ impl Search<'_> {
 
     fn see_with(&mut self, beam: &mut Beam, cap: &mut Option<Facing>, patch: &mut Patch) -> bool {
         let (made, met) = (self.scratch.planes.list.len(), beam.met.len());
-        let mut seed = if beam.hint == NO_HINT { self.guess(beam, None) } else { Some(beam.hint) };
+        let mut seed = if beam.hint == NO_HINT {
+            self.guess(beam, None)
+        } else {
+            Some(beam.hint)
+        };
         // A triangle that overlaps the beam for certain, which a guess in doubles may not.
         let mut sure = None;
         patch.clear();
@@ -82,13 +86,16 @@ impl Search<'_> {
         }
         self.scratch.planes.list.truncate(made);
         beam.met.truncate(met);
-        sure.or(seed).is_some_and(|triangle| self.meet(beam, cap, triangle))
+        sure.or(seed)
+            .is_some_and(|triangle| self.meet(beam, cap, triangle))
     }
 
     /// Decides a beam that has no cap and is cut no more, if a patch covers it. Says whether it did.
     pub(super) fn see_whole(&mut self, beam: &mut Beam) -> bool {
         let made = self.scratch.planes.list.len();
-        let Some(seed) = self.guess(beam, None) else { return false };
+        let Some(seed) = self.guess(beam, None) else {
+            return false;
+        };
         let mut patch = std::mem::take(&mut self.scratch.patch);
         let covered = matches!(self.grow(beam, seed, &mut patch), Grown::Covers);
         if covered {
@@ -118,7 +125,10 @@ impl Search<'_> {
     fn in_front(&mut self, beam: &mut Beam, patch: &mut Patch, far: f64) -> Option<(u32, Order)> {
         let Scratch { sieve, planes, .. } = &mut *self.scratch;
         sieve.of(planes, &beam.ring, None);
-        patch.pieces().iter().for_each(|piece| sieve.patch(&piece.facing));
+        patch
+            .pieces()
+            .iter()
+            .for_each(|piece| sieve.patch(&piece.facing));
         let mut open = std::mem::take(&mut self.scratch.boxes);
         let mut found = None;
         for at in (0..beam.pending.len()).rev() {
@@ -165,15 +175,23 @@ impl Search<'_> {
         for k in first..first + count {
             let triangle = self.scene.order[k as usize];
             let points = self.points(triangle);
-            let Some(behind) = self.scratch.sieve.behind(self.eye.scene_points(points)) else { continue };
-            if patch.pieces().iter().any(|p| p.triangle == triangle) || beam.met.contains(&triangle) {
+            let Some(behind) = self.scratch.sieve.behind(self.eye.scene_points(points)) else {
+                continue;
+            };
+            if patch.pieces().iter().any(|p| p.triangle == triangle) || beam.met.contains(&triangle)
+            {
                 continue;
             }
             let edges = Edges::of(&self.eye, points);
-            if edges.as_ref().is_some_and(|edges| edges.are_beside(&beam.ring)) {
+            if edges
+                .as_ref()
+                .is_some_and(|edges| edges.are_beside(&beam.ring))
+            {
                 continue;
             }
-            let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else { continue };
+            let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else {
+                continue;
+            };
             let Scratch { planes, rings, .. } = &mut *self.scratch;
             if outline.is_beside(planes, &self.eye, &beam.ring) {
                 continue;
@@ -187,15 +205,29 @@ impl Search<'_> {
                 }
                 planes.list.truncate(made);
             }
-            for (n, piece) in patch.pieces().iter().enumerate().filter(|(n, _)| behind >> n & 1 == 0) {
+            for (n, piece) in patch
+                .pieces()
+                .iter()
+                .enumerate()
+                .filter(|(n, _)| behind >> n & 1 == 0)
+            {
                 if blocks && piece.facing.has_points_of(&outline.facing) {
                     twin = Some(n);
                     continue;
                 }
-                if edges.as_ref().is_some_and(|edges| edges.are_beside(&piece.ring)) {
+                if edges
+                    .as_ref()
+                    .is_some_and(|edges| edges.are_beside(&piece.ring))
+                {
                     continue;
                 }
-                place = order(planes, &self.eye, (&piece.ring, &piece.facing), &outline, rings);
+                place = order(
+                    planes,
+                    &self.eye,
+                    (&piece.ring, &piece.facing),
+                    &outline,
+                    rings,
+                );
                 if !matches!(place, Order::Hidden) {
                     break;
                 }
@@ -241,14 +273,29 @@ impl Search<'_> {
 
     /// Divides a beam along a plane that it has directions on both sides of. The inner part keeps the hint.
     fn halve(&mut self, beam: &mut Beam, side: Side) {
-        let Scratch { planes, stack, rings, seen, entered, .. } = &mut *self.scratch;
+        let Scratch {
+            planes,
+            stack,
+            rings,
+            seen,
+            entered,
+            ..
+        } = &mut *self.scratch;
         let place = beam::place(planes, &self.eye, &beam.ring, side, &mut rings.signs);
         debug_assert_eq!(
             place,
             Place::Both,
             "an edge or a line inside of a beam has directions on both sides"
         );
-        beam::cut(planes, &self.eye, &beam.ring, side, &rings.signs, &mut rings.next, &mut rings.far);
+        beam::cut(
+            planes,
+            &self.eye,
+            &beam.ring,
+            side,
+            &rings.signs,
+            &mut rings.next,
+            &mut rings.far,
+        );
         let made = (planes.list.len(), entered.len());
         let hint = beam.hint;
         for (ring, hint) in [(&rings.far, NO_HINT), (&rings.next, hint)] {
@@ -264,6 +311,8 @@ impl Search<'_> {
 fn far(patch: &Patch) -> f64 {
     match patch.pieces() {
         [] => f64::INFINITY,
-        pieces => pieces.iter().fold(0.0, |far: f64, p| far.max(reach(&p.ring, &p.facing))),
+        pieces => pieces
+            .iter()
+            .fold(0.0, |far: f64, p| far.max(reach(&p.ring, &p.facing))),
     }
 }

@@ -31,8 +31,16 @@ impl Search<'_> {
     /// The same along a line in any direction of the beam.
     pub(super) fn guess_along(&mut self, beam: &Beam, cap: Option<&Facing>, way: V) -> Option<u32> {
         // What is as far away as the cap is the cap, or as good.
-        let most = cap.map_or(f64::INFINITY, |cap| cap.height.value / dot(cap.normal.v, way) * (1.0 - 1e-9));
-        let mut ray = Ray { x: self.eye.x, way, inverse: way.map(|c| 1.0 / c), most, found: None };
+        let most = cap.map_or(f64::INFINITY, |cap| {
+            cap.height.value / dot(cap.normal.v, way) * (1.0 - 1e-9)
+        });
+        let mut ray = Ray {
+            x: self.eye.x,
+            way,
+            inverse: way.map(|c| 1.0 / c),
+            most,
+            found: None,
+        };
         for entry in beam.pending.iter().rev() {
             if entry.count > 0 {
                 self.meet_leaf(&mut ray, entry.first, entry.count);
@@ -58,7 +66,9 @@ impl Search<'_> {
             }
             let [a, b] = [node.first, node.first + 1];
             match (self.enters(ray, a), self.enters(ray, b)) {
-                (Some(near_a), Some(near_b)) => open.extend(if near_a <= near_b { [b, a] } else { [a, b] }),
+                (Some(near_a), Some(near_b)) => {
+                    open.extend(if near_a <= near_b { [b, a] } else { [a, b] })
+                }
                 (Some(_), None) => open.push(a),
                 (None, Some(_)) => open.push(b),
                 (None, None) => {}
@@ -89,7 +99,11 @@ impl Search<'_> {
                 let p = self.eye.point(p);
                 [p[0] - ray.x[0], p[1] - ray.x[1], p[2] - ray.x[2]]
             });
-            let sides = [dot(cross(a, b), ray.way), dot(cross(b, c), ray.way), dot(cross(c, a), ray.way)];
+            let sides = [
+                dot(cross(a, b), ray.way),
+                dot(cross(b, c), ray.way),
+                dot(cross(c, a), ray.way),
+            ];
             let all = sides[0] + sides[1] + sides[2];
             if all == 0.0 || sides.iter().any(|s| (*s > 0.0) != (all > 0.0)) {
                 continue;

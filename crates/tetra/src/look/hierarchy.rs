@@ -24,7 +24,9 @@ impl Node {
     /// The square of how far away the box is at least.
     pub(super) fn near(&self, x: [f64; 3]) -> f64 {
         let sum = (0..3).fold(0.0, |sum, k| {
-            let d = (f64::from(self.low[k]) - x[k]).max(x[k] - f64::from(self.high[k])).max(0.0);
+            let d = (f64::from(self.low[k]) - x[k])
+                .max(x[k] - f64::from(self.high[k]))
+                .max(0.0);
             sum + d * d
         });
         sum * (1.0 - BOUND)
@@ -98,7 +100,10 @@ impl Boxes<'_> {
                 };
                 in_leaves += own.len();
                 let corners = own.iter().flat_map(|t| surfaces.triangles[*t as usize]);
-                if !corners.map(|p| &surfaces.points[p as usize]).all(|p| holds(p, p)) {
+                if !corners
+                    .map(|p| &surfaces.points[p as usize])
+                    .all(|p| holds(p, p))
+                {
                     return bad("does not hold its triangles");
                 }
                 continue;
@@ -121,7 +126,10 @@ impl Boxes<'_> {
         for node in self.nodes.iter().filter(|n| n.count > 0) {
             covered[node.first as usize..][..node.count as usize].fill(true);
         }
-        match is_child.iter().skip(1).all(|c| *c) && in_leaves == wanted && covered.iter().all(|c| *c) {
+        match is_child.iter().skip(1).all(|c| *c)
+            && in_leaves == wanted
+            && covered.iter().all(|c| *c)
+        {
             true => Ok(()),
             false => Err("some boxes or triangles are in none, or in two".to_owned()),
         }
@@ -141,27 +149,40 @@ const BINS: usize = 16;
 impl Hierarchy {
     /// The lists.
     pub fn view(&self) -> Boxes<'_> {
-        Boxes { nodes: &self.nodes, order: &self.order, neighbours: &self.neighbours }
+        Boxes {
+            nodes: &self.nodes,
+            order: &self.order,
+            neighbours: &self.neighbours,
+        }
     }
 
     /// Builds the boxes by the surface-area heuristic.
     pub fn new(surfaces: SurfacesView<'_>) -> Self {
-        let mut order: Vec<u32> =
-            (0..surfaces.triangles.len() as u32).filter(|t| is_listed(surfaces.flags[*t as usize])).collect();
+        let mut order: Vec<u32> = (0..surfaces.triangles.len() as u32)
+            .filter(|t| is_listed(surfaces.flags[*t as usize]))
+            .collect();
         let neighbours = neighbours::neighbours(surfaces);
         if order.is_empty() {
-            return Self { neighbours, ..Self::default() };
+            return Self {
+                neighbours,
+                ..Self::default()
+            };
         }
         let bounds: Vec<Bounds> = surfaces
             .triangles
             .iter()
-            .map(|t| t.iter().fold(Bounds::EMPTY, |b, p| b.with(surfaces.points[*p as usize])))
+            .map(|t| {
+                t.iter()
+                    .fold(Bounds::EMPTY, |b, p| b.with(surfaces.points[*p as usize]))
+            })
             .collect();
         let mut nodes = vec![Node::default()];
         let mut open = vec![(0usize, 0usize, order.len())];
         while let Some((at, from, to)) = open.pop() {
             let part = &mut order[from..to];
-            let around = part.iter().fold(Bounds::EMPTY, |b, t| b.and(&bounds[*t as usize]));
+            let around = part
+                .iter()
+                .fold(Bounds::EMPTY, |b, t| b.and(&bounds[*t as usize]));
             let middle = divide(part, &bounds);
             let (first, count) = match middle {
                 Some(middle) => {
@@ -173,9 +194,18 @@ impl Hierarchy {
                 }
                 None => (from as u32, part.len() as u32),
             };
-            nodes[at] = Node { low: around.low, first, high: around.high, count };
+            nodes[at] = Node {
+                low: around.low,
+                first,
+                high: around.high,
+                count,
+            };
         }
-        Self { nodes, order, neighbours }
+        Self {
+            nodes,
+            order,
+            neighbours,
+        }
     }
 }
 
@@ -186,7 +216,10 @@ struct Bounds {
 }
 
 impl Bounds {
-    const EMPTY: Self = Self { low: [f32::INFINITY; 3], high: [f32::NEG_INFINITY; 3] };
+    const EMPTY: Self = Self {
+        low: [f32::INFINITY; 3],
+        high: [f32::NEG_INFINITY; 3],
+    };
 
     fn with(&self, p: [f32; 3]) -> Self {
         self.and(&Self { low: p, high: p })
@@ -218,10 +251,12 @@ fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
     }
     // Along each axis the least of the boxes' middles, and how far the greatest is from it.
     let ranges: [(f64, f64); 3] = std::array::from_fn(|k| {
-        let (least, most) = part.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| {
-            let m = bounds[*t as usize].middle(k);
-            (a.min(m), b.max(m))
-        });
+        let (least, most) = part
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), t| {
+                let m = bounds[*t as usize].middle(k);
+                (a.min(m), b.max(m))
+            });
         (least, most - least)
     });
     let bin = |axis: usize, t: u32| {
@@ -244,7 +279,9 @@ fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
         }
     }
     // If all middles agree any half is as good as another.
-    let Some((_, axis, at)) = best else { return Some(part.len() / 2) };
+    let Some((_, axis, at)) = best else {
+        return Some(part.len() / 2);
+    };
     part.sort_by_key(|t| (bin(axis, *t) >= at, *t));
     // The first and the last bin hold something, so both parts do.
     Some(part.iter().filter(|t| bin(axis, **t) < at).count())
@@ -252,8 +289,14 @@ fn divide(part: &mut [u32], bounds: &[Bounds]) -> Option<usize> {
 
 /// What it takes to go through the triangles of some bins, by the surface-area heuristic.
 fn cost(bins: &[(usize, Bounds)]) -> f64 {
-    let (count, around) = bins.iter().fold((0, Bounds::EMPTY), |(n, a), b| (n + b.0, a.and(&b.1)));
-    if count == 0 { f64::INFINITY } else { count as f64 * around.half_area() }
+    let (count, around) = bins
+        .iter()
+        .fold((0, Bounds::EMPTY), |(n, a), b| (n + b.0, a.and(&b.1)));
+    if count == 0 {
+        f64::INFINITY
+    } else {
+        count as f64 * around.half_area()
+    }
 }
 
 #[cfg(test)]
@@ -263,10 +306,18 @@ mod tests {
     #[test]
     fn a_box_without_finite_bounds_is_refused() {
         let points = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        let surfaces = SurfacesView { points: &points, triangles: &[[0, 1, 2]], flags: &[BLOCKS | SHOWS] };
+        let surfaces = SurfacesView {
+            points: &points,
+            triangles: &[[0, 1, 2]],
+            flags: &[BLOCKS | SHOWS],
+        };
         let good = Hierarchy::new(surfaces);
         assert_eq!(good.view().check(surfaces), Ok(()));
-        for (low, high) in [(f32::NEG_INFINITY, 1.0), (0.0, f32::INFINITY), (f32::NAN, 1.0)] {
+        for (low, high) in [
+            (f32::NEG_INFINITY, 1.0),
+            (0.0, f32::INFINITY),
+            (f32::NAN, 1.0),
+        ] {
             let mut bad = good.clone();
             (bad.nodes[0].low[0], bad.nodes[0].high[0]) = (low, high);
             assert!(bad.view().check(surfaces).is_err(), "{low} to {high}");

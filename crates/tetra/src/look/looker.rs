@@ -18,7 +18,9 @@ use super::within::Limits;
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LookError {
     /// A coordinate that is not a finite number of single precision's range.
-    #[error("{what} has the coordinate {value:e}, which is not a finite number below 3.4e38; correct it")]
+    #[error(
+        "{what} has the coordinate {value:e}, which is not a finite number below 3.4e38; correct it"
+    )]
     Coordinate {
         /// What has it.
         what: &'static str,
@@ -69,7 +71,13 @@ pub struct Looker<'a> {
 impl<'a> Looker<'a> {
     /// A scene and the boxes over its triangles.
     pub fn new(surfaces: SurfacesView<'a>, boxes: Boxes<'a>) -> Self {
-        Self { surfaces, boxes, points: surfaces.points, cells: None, unit: Self::unit(surfaces.points) }
+        Self {
+            surfaces,
+            boxes,
+            points: surfaces.points,
+            cells: None,
+            unit: Self::unit(surfaces.points),
+        }
     }
 
     /// The same with the cells between the surfaces, which must be those of `surfaces`.
@@ -84,7 +92,13 @@ impl<'a> Looker<'a> {
         cells: CellsView<'a>,
         unit: i32,
     ) -> Self {
-        Self { surfaces, boxes, points: cells.points, cells: Some(cells), unit }
+        Self {
+            surfaces,
+            boxes,
+            points: cells.points,
+            cells: Some(cells),
+            unit,
+        }
     }
 
     /// The power of two that all coordinates are multiples of.
@@ -100,7 +114,9 @@ impl<'a> Looker<'a> {
     pub fn locate(&self, x: [f64; 3], hint: Option<u32>) -> Result<Option<u32>, LookError> {
         check_point("the point", x)?;
         let eye = Eye::new(x, self.points, &[], self.unit);
-        Ok(self.cells.and_then(|cells| Space::new(cells).locate(&eye, hint)))
+        Ok(self
+            .cells
+            .and_then(|cells| Space::new(cells).locate(&eye, hint)))
     }
 
     /// The cells that hold `x`, their borders included; none outside of the cells' box.
@@ -155,8 +171,12 @@ impl<'a> Looker<'a> {
         scratch.stack.clear();
         scratch.planes.list.clear();
         (scratch.planes.decided, scratch.planes.integers) = (0, 0);
-        scratch.entered.begin(self.cells.map_or(0, |cells| cells.cell_count()));
-        scratch.tally.begin(self.surfaces.triangles.len(), view.witnesses);
+        scratch
+            .entered
+            .begin(self.cells.map_or(0, |cells| cells.cell_count()));
+        scratch
+            .tally
+            .begin(self.surfaces.triangles.len(), view.witnesses);
         let seen = &mut scratch.seen;
         (seen.sky, seen.unseen, seen.dropped, seen.cells, seen.beams) = (0.0, 0.0, 0.0, 0, 0);
         self.see_touched(x, scratch);
@@ -165,7 +185,12 @@ impl<'a> Looker<'a> {
         let mut search = self.search(x, &[], &[], (mode, view.engine), limits, scratch);
         search.begin(&sides, &[]);
         let is_enough = search.run(budget);
-        let Scratch { planes, tally, seen, .. } = scratch;
+        let Scratch {
+            planes,
+            tally,
+            seen,
+            ..
+        } = scratch;
         if is_enough {
             tally.finish(view.witnesses, seen);
         } else {
@@ -200,7 +225,10 @@ impl<'a> Looker<'a> {
         check_point("the target", target.high)?;
         for k in 0..3 {
             if target.low[k] > target.high[k] {
-                return Err(LookError::Target { low: target.low[k], high: target.high[k] });
+                return Err(LookError::Target {
+                    low: target.low[k],
+                    high: target.high[k],
+                });
             }
         }
         if (0..3).all(|k| target.low[k] <= x[k] && x[k] <= target.high[k]) {
@@ -208,7 +236,13 @@ impl<'a> Looker<'a> {
         }
         let base = self.points.len() as u32;
         let corners: [[f64; 3]; 8] = std::array::from_fn(|c| {
-            std::array::from_fn(|k| if c >> k & 1 == 1 { target.high[k] } else { target.low[k] })
+            std::array::from_fn(|k| {
+                if c >> k & 1 == 1 {
+                    target.high[k]
+                } else {
+                    target.low[k]
+                }
+            })
         });
         let limits = Limits::of(view);
         (scratch.planes.decided, scratch.planes.integers) = (0, 0);
@@ -231,19 +265,29 @@ impl<'a> Looker<'a> {
             let faces = [[around[0], around[1], around[2]]];
             scratch.stack.clear();
             scratch.planes.list.clear();
-            scratch.entered.begin(self.cells.map_or(0, |cells| cells.cell_count()));
+            scratch
+                .entered
+                .begin(self.cells.map_or(0, |cells| cells.cell_count()));
             scratch.tally.begin(self.surfaces.triangles.len(), false);
             let eye = Eye::new(x, self.points, &corners, self.unit);
-            let sides: [_; 4] =
-                std::array::from_fn(|n| scratch.planes.add_edge(&eye, around[n], around[(n + 1) % 4]));
+            let sides: [_; 4] = std::array::from_fn(|n| {
+                scratch
+                    .planes
+                    .add_edge(&eye, around[n], around[(n + 1) % 4])
+            });
             let mut search = self.search(x, &corners, &faces, (mode, view.engine), limits, scratch);
             search.begin(&sides, &[self.surfaces.triangles.len() as u32]);
             search.run(&Budget::ALL);
             part += search.of_faces;
             all += search.begun;
         }
-        (scratch.seen.decided, scratch.seen.integers) = (scratch.planes.decided, scratch.planes.integers);
-        Ok(if all > 0.0 { (part / all).min(1.0) } else { 0.0 })
+        (scratch.seen.decided, scratch.seen.integers) =
+            (scratch.planes.decided, scratch.planes.integers);
+        Ok(if all > 0.0 {
+            (part / all).min(1.0)
+        } else {
+            0.0
+        })
     }
 
     fn check_view(&self, view: &View) -> Result<(), LookError> {
@@ -264,15 +308,21 @@ impl<'a> Looker<'a> {
     ) -> Search<'s> {
         let reach = self.boxes.nodes.first().map_or(0.0, |n| {
             (0..3).fold(0.0f64, |m, k| {
-                m.max((f64::from(n.low[k]) - x[k]).abs()).max((f64::from(n.high[k]) - x[k]).abs())
+                m.max((f64::from(n.low[k]) - x[k]).abs())
+                    .max((f64::from(n.high[k]) - x[k]).abs())
             })
         });
         scratch.sieve.begin(x, reach);
-        let space = self.cells.filter(|_| engine == Engine::Cells).map(Space::new);
+        let space = self
+            .cells
+            .filter(|_| engine == Engine::Cells)
+            .map(Space::new);
         if space.is_none() {
             scratch.outlines.begin();
         }
-        let SurfacesView { triangles, flags, .. } = self.surfaces;
+        let SurfacesView {
+            triangles, flags, ..
+        } = self.surfaces;
         Search {
             scene: Scene {
                 triangles,
@@ -299,11 +349,15 @@ impl<'a> Looker<'a> {
             (0..3).all(|k| f64::from(low[k]) <= x[k] && x[k] <= f64::from(high[k]))
         };
         let eye = Eye::new(x, self.points, &[], self.unit);
-        let Scratch { tally, boxes: open, .. } = scratch;
+        let Scratch {
+            tally, boxes: open, ..
+        } = scratch;
         open.clear();
         open.push(0);
         while let Some(number) = open.pop() {
-            let Some(node) = self.boxes.nodes.get(number as usize) else { continue };
+            let Some(node) = self.boxes.nodes.get(number as usize) else {
+                continue;
+            };
             if !holds(&node.low, &node.high) {
                 continue;
             }
@@ -325,7 +379,10 @@ impl<'a> Looker<'a> {
 }
 
 fn check_point(what: &'static str, p: [f64; 3]) -> Result<(), LookError> {
-    match p.into_iter().find(|c| c.is_nan() || c.abs() > f64::from(f32::MAX)) {
+    match p
+        .into_iter()
+        .find(|c| c.is_nan() || c.abs() > f64::from(f32::MAX))
+    {
         Some(value) => Err(LookError::Coordinate { what, value }),
         None => Ok(()),
     }
@@ -340,7 +397,9 @@ fn check_limits(view: &View) -> Result<(), LookError> {
         check_angle("the view's angle", view.angle, 1e-4, 360.0)?;
     }
     match view.distance {
-        Some(distance) if distance.is_nan() || distance <= 0.0 => Err(LookError::Distance(distance)),
+        Some(distance) if distance.is_nan() || distance <= 0.0 => {
+            Err(LookError::Distance(distance))
+        }
         _ => Ok(()),
     }
 }
@@ -358,6 +417,11 @@ fn check_mode(mode: Mode) -> Result<(), LookError> {
 fn check_angle(what: &'static str, angle: f64, least: f64, most: f64) -> Result<(), LookError> {
     match angle > 0.0 && angle >= least.to_radians() && angle <= most.to_radians() {
         true => Ok(()),
-        false => Err(LookError::Angle { what, degrees: angle.to_degrees(), least, most }),
+        false => Err(LookError::Angle {
+            what,
+            degrees: angle.to_degrees(),
+            least,
+            most,
+        }),
     }
 }

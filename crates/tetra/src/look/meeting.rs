@@ -13,12 +13,26 @@ use super::within::Limits;
 
 impl Search<'_> {
     /// Meets a triangle. Says whether the beam was divided, and its parts are on the stack.
-    pub(super) fn meet(&mut self, beam: &mut Beam, cap: &mut Option<Facing>, triangle: u32) -> bool {
+    pub(super) fn meet(
+        &mut self,
+        beam: &mut Beam,
+        cap: &mut Option<Facing>,
+        triangle: u32,
+    ) -> bool {
         let points = self.points(triangle);
         let eye = &self.eye;
         // In its plane: an edge of it is all that could be seen.
-        let Some(facing) = Facing::of(eye, points) else { return false };
-        let Scratch { planes, stack, rings, seen, entered, .. } = &mut *self.scratch;
+        let Some(facing) = Facing::of(eye, points) else {
+            return false;
+        };
+        let Scratch {
+            planes,
+            stack,
+            rings,
+            seen,
+            entered,
+            ..
+        } = &mut *self.scratch;
         let ways = facing.points.map(|p| eye.to(p));
         let beside = |edge: &Edge| {
             let n = planes.normal(edge.side);
@@ -74,7 +88,15 @@ impl Search<'_> {
                 }
                 Place::Both => {
                     let out = &mut rings.out[parts];
-                    beam::cut(planes, eye, &rings.inside, side, &rings.signs, &mut rings.next, out);
+                    beam::cut(
+                        planes,
+                        eye,
+                        &rings.inside,
+                        side,
+                        &rings.signs,
+                        &mut rings.next,
+                        out,
+                    );
                     std::mem::swap(&mut rings.inside, &mut rings.next);
                     parts += 1;
                 }
@@ -92,7 +114,15 @@ impl Search<'_> {
                 Place::Inside => level = rings.signs.iter().all(|s| *s == 0),
                 Place::Both => {
                     let signs = &rings.signs;
-                    beam::cut(planes, eye, &rings.inside, side, signs, &mut rings.next, &mut rings.far);
+                    beam::cut(
+                        planes,
+                        eye,
+                        &rings.inside,
+                        side,
+                        signs,
+                        &mut rings.next,
+                        &mut rings.far,
+                    );
                     std::mem::swap(&mut rings.inside, &mut rings.next);
                     far = true;
                 }
@@ -110,7 +140,8 @@ impl Search<'_> {
         }
         let made = (planes.list.len(), entered.len());
         beam.hint = NO_HINT;
-        let keep = |ring: &[Edge], seen: &mut Seen| keep(self.mode, planes, ring, &self.limits, seen);
+        let keep =
+            |ring: &[Edge], seen: &mut Seen| keep(self.mode, planes, ring, &self.limits, seen);
         for out in &rings.out[..parts] {
             if let Some(whole) = keep(out, seen) {
                 stack.push(beam, out, &beam.caps, whole, made);
@@ -155,8 +186,15 @@ impl Search<'_> {
     }
 
     /// Where a beam is on the nearer side of a face, seen from its cap, and whether both are in one plane.
-    pub(super) fn against(&mut self, beam: &Beam, cap: Option<&Facing>, facing: &Facing) -> (Place, bool) {
-        let Some(cap) = cap else { return (Place::Inside, false) };
+    pub(super) fn against(
+        &mut self,
+        beam: &Beam,
+        cap: Option<&Facing>,
+        facing: &Facing,
+    ) -> (Place, bool) {
+        let Some(cap) = cap else {
+            return (Place::Inside, false);
+        };
         if cap.has_points_of(facing) {
             return (Place::Inside, true);
         }
@@ -186,8 +224,8 @@ pub(super) fn keep(
             seen.dropped += limits.areas(ring, None).0.unwrap_or_default();
             None
         }
-        Mode::Conservative(angle) => {
-            Some(beam::widths(planes, ring).1 < 2.0 * libm::sin(angle.min(std::f64::consts::PI) / 2.0))
-        }
+        Mode::Conservative(angle) => Some(
+            beam::widths(planes, ring).1 < 2.0 * libm::sin(angle.min(std::f64::consts::PI) / 2.0),
+        ),
     }
 }

@@ -25,7 +25,10 @@ type EdgeOf = (u32, u32, u32, u8);
 pub fn neighbours(surfaces: SurfacesView<'_>) -> Vec<[u32; 3]> {
     let triangles = surfaces.triangles;
     let mut sides: Vec<EdgeOf> = Vec::new();
-    for (t, points) in (0u32..).zip(triangles).filter(|(t, _)| counts(surfaces.flags[*t as usize])) {
+    for (t, points) in (0u32..)
+        .zip(triangles)
+        .filter(|(t, _)| counts(surfaces.flags[*t as usize]))
+    {
         for k in 0..3u8 {
             let (a, b) = (points[usize::from(k)], points[(usize::from(k) + 1) % 3]);
             sides.push((a.min(b), a.max(b), t, k));
@@ -39,8 +42,9 @@ pub fn neighbours(surfaces: SurfacesView<'_>) -> Vec<[u32; 3]> {
         for turned in [false, true] {
             for (at, own) in group.iter().enumerate() {
                 let is_free = |s: &EdgeOf| across[s.2 as usize][usize::from(s.3)] == NONE;
-                let fits =
-                    |s: &&EdgeOf| is_free(s) && third(s) != third(own) && (turned || start(s) != start(own));
+                let fits = |s: &&EdgeOf| {
+                    is_free(s) && third(s) != third(own) && (turned || start(s) != start(own))
+                };
                 let next = &group[at + 1..group.len().min(at + 1 + SEARCHED)];
                 if let Some(other) = next.iter().find(fits).filter(|_| is_free(own)) {
                     across[own.2 as usize][usize::from(own.3)] = other.2;
@@ -75,11 +79,15 @@ pub fn check(across: &[[u32; 3]], surfaces: SurfacesView<'_>) -> Result<(), Stri
                         && edge.contains(&points[(*j + 1) % 3])
                         && points[(*j + 2) % 3] != third
                 });
-                let both_count = [t, of[k]].iter().all(|t| counts(surfaces.flags[*t as usize]));
+                let both_count = [t, of[k]]
+                    .iter()
+                    .all(|t| counts(surfaces.flags[*t as usize]));
                 both_count && back.is_some_and(|j| across[of[k] as usize][j] == t)
             });
             if !fits {
-                return Err(format!("what is across edge {k} of triangle {t} does not fit"));
+                return Err(format!(
+                    "what is across edge {k} of triangle {t} does not fit"
+                ));
             }
         }
     }
@@ -87,10 +95,22 @@ pub fn check(across: &[[u32; 3]], surfaces: SurfacesView<'_>) -> Result<(), Stri
 }
 
 /// What is across the edge of two points of a triangle.
-pub fn across(neighbours: &[[u32; 3]], triangles: &[[u32; 3]], triangle: u32, a: u32, b: u32) -> u32 {
+pub fn across(
+    neighbours: &[[u32; 3]],
+    triangles: &[[u32; 3]],
+    triangle: u32,
+    a: u32,
+    b: u32,
+) -> u32 {
     let t = triangle as usize;
-    let (Some(points), Some(of)) = (triangles.get(t), neighbours.get(t)) else { return NONE };
-    let is_it = |k: &usize| [points[*k], points[(*k + 1) % 3]].iter().all(|p| *p == a || *p == b);
+    let (Some(points), Some(of)) = (triangles.get(t), neighbours.get(t)) else {
+        return NONE;
+    };
+    let is_it = |k: &usize| {
+        [points[*k], points[(*k + 1) % 3]]
+            .iter()
+            .all(|p| *p == a || *p == b)
+    };
     (0..3).find(is_it).map_or(NONE, |k| of[k])
 }
 
@@ -100,7 +120,11 @@ mod tests {
 
     fn of(triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
         let flags = vec![BLOCKS; triangles.len()];
-        let surfaces = SurfacesView { points: &[[0.0; 3]; 8], triangles, flags: &flags };
+        let surfaces = SurfacesView {
+            points: &[[0.0; 3]; 8],
+            triangles,
+            flags: &flags,
+        };
         let found = neighbours(surfaces);
         check(&found, surfaces).unwrap();
         found
@@ -108,14 +132,25 @@ mod tests {
 
     #[test]
     fn two_triangles_of_a_square_are_neighbours() {
-        assert_eq!(of(&[[0, 1, 2], [0, 2, 3]]), [[NONE, NONE, 1], [0, NONE, NONE]]);
+        assert_eq!(
+            of(&[[0, 1, 2], [0, 2, 3]]),
+            [[NONE, NONE, 1], [0, NONE, NONE]]
+        );
     }
 
     #[test]
     fn doubled_triangles_are_paired_by_their_turn() {
         // A square and the same from behind.
         let found = of(&[[0, 1, 2], [0, 2, 1], [0, 2, 3], [0, 3, 2]]);
-        assert_eq!(found, [[NONE, NONE, 2], [3, NONE, NONE], [0, NONE, NONE], [NONE, NONE, 1]]);
+        assert_eq!(
+            found,
+            [
+                [NONE, NONE, 2],
+                [3, NONE, NONE],
+                [0, NONE, NONE],
+                [NONE, NONE, 1]
+            ]
+        );
     }
 
     #[test]
@@ -129,13 +164,27 @@ mod tests {
         let triangles = [[0, 1, 2], [0, 2, 3]];
         let good = of(&triangles);
         let flags = [BLOCKS; 2];
-        let surfaces = SurfacesView { points: &[[0.0; 3]; 4], triangles: &triangles, flags: &flags };
-        for (t, k, to) in [(0, 2, NONE), (0, 2, 0), (0, 2, 7), (0, 0, 1), (1, 0, NONE), (1, 1, 0)] {
+        let surfaces = SurfacesView {
+            points: &[[0.0; 3]; 4],
+            triangles: &triangles,
+            flags: &flags,
+        };
+        for (t, k, to) in [
+            (0, 2, NONE),
+            (0, 2, 0),
+            (0, 2, 7),
+            (0, 0, 1),
+            (1, 0, NONE),
+            (1, 1, 0),
+        ] {
             let mut bad = good.clone();
             bad[t][k] = to;
             assert!(check(&bad, surfaces).is_err(), "{t} {k} {to}");
         }
-        let through = SurfacesView { flags: &[BLOCKS, 0], ..surfaces };
+        let through = SurfacesView {
+            flags: &[BLOCKS, 0],
+            ..surfaces
+        };
         assert!(check(&good, through).is_err());
         assert!(check(&good[..1], surfaces).is_err());
     }

@@ -18,20 +18,30 @@ impl Outline {
     pub fn of(eye: &Eye<'_>, points: [u32; 3]) -> Option<Self> {
         let facing = Facing::of(eye, points)?;
         let [a, b, c] = facing.points;
-        Some(Self { facing, edges: [(a, b), (b, c), (c, a)].map(|(a, b)| (Plane::edge(eye, a, b), a > b)) })
+        Some(Self {
+            facing,
+            edges: [(a, b), (b, c), (c, a)].map(|(a, b)| (Plane::edge(eye, a, b), a > b)),
+        })
     }
 
     /// Whether no direction of a ring's interior is in the triangle because one of its edges divides them.
     pub fn is_beside(&self, planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge]) -> bool {
         self.edges.iter().any(|(plane, negative)| {
             let outside = if *negative { 1 } else { -1 };
-            ring.iter().all(|edge| planes.sign_of(eye, &edge.corner, plane) != -outside)
+            ring.iter()
+                .all(|edge| planes.sign_of(eye, &edge.corner, plane) != -outside)
         })
     }
 
     /// Cuts a ring to its part in the triangle, which is in `rings.inside` then; says whether there is one.
     /// The planes that it needs are added.
-    pub fn clip(&self, planes: &mut Planes, eye: &Eye<'_>, ring: &[Edge], rings: &mut Rings) -> bool {
+    pub fn clip(
+        &self,
+        planes: &mut Planes,
+        eye: &Eye<'_>,
+        ring: &[Edge],
+        rings: &mut Rings,
+    ) -> bool {
         rings.inside.clear();
         rings.inside.extend_from_slice(ring);
         for (plane, negative) in &self.edges {
@@ -41,7 +51,13 @@ impl Outline {
                 Place::Inside => {}
                 Place::Outside => return false,
                 Place::Both => {
-                    let Rings { inside, next, far, signs, .. } = rings;
+                    let Rings {
+                        inside,
+                        next,
+                        far,
+                        signs,
+                        ..
+                    } = rings;
                     beam::cut(planes, eye, inside, side, signs, next, far);
                     std::mem::swap(inside, next);
                 }

@@ -64,13 +64,38 @@ impl Search<'_> {
                     continue;
                 }
                 // What is no side of the beam is an edge of the triangle.
-                let Some((a, b)) = self.scratch.planes.edge_of(edge.side) else { continue };
-                let length = apart(edge, &piece.ring[if k + 1 == piece.ring.len() { 0 } else { k + 1 }]);
-                let at = End { triangle: piece.triangle, a, b };
-                let other = across(self.scene.neighbours, self.scene.triangles, piece.triangle, a, b);
+                let Some((a, b)) = self.scratch.planes.edge_of(edge.side) else {
+                    continue;
+                };
+                let length = apart(
+                    edge,
+                    &piece.ring[if k + 1 == piece.ring.len() { 0 } else { k + 1 }],
+                );
+                let at = End {
+                    triangle: piece.triangle,
+                    a,
+                    b,
+                };
+                let other = across(
+                    self.scene.neighbours,
+                    self.scene.triangles,
+                    piece.triangle,
+                    a,
+                    b,
+                );
                 // On the other side of the edge its front order has it from b to a.
-                let known = patch.pieces().iter().find(|p| p.triangle == other).map(|p| p.facing);
-                let facing = known.or_else(|| if other == NONE { None } else { self.facing(other) });
+                let known = patch
+                    .pieces()
+                    .iter()
+                    .find(|p| p.triangle == other)
+                    .map(|p| p.facing);
+                let facing = known.or_else(|| {
+                    if other == NONE {
+                        None
+                    } else {
+                        self.facing(other)
+                    }
+                });
                 if !facing.is_some_and(|facing| has_edge(&facing, b, a)) {
                     longest(&mut end, length, at);
                 } else if known.is_none()
@@ -91,7 +116,9 @@ impl Search<'_> {
     /// Adds a triangle's part of a beam to a patch, if there is one.
     fn add_piece(&mut self, beam: &Beam, triangle: u32, patch: &mut Patch) -> bool {
         let points = self.points(triangle);
-        let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else { return false };
+        let Some(outline) = self.scratch.outlines.of(&self.eye, triangle, points) else {
+            return false;
+        };
         let Scratch { planes, rings, .. } = &mut *self.scratch;
         let overlaps = outline.clip(planes, &self.eye, &beam.ring, rings);
         if overlaps {
@@ -103,11 +130,15 @@ impl Search<'_> {
     /// Whether a direction of the first piece is in no other one, for certain.
     fn covers_once(&self, patch: &Patch) -> bool {
         let planes = &self.scratch.planes;
-        let Some((first, others)) = patch.pieces().split_first() else { return false };
+        let Some((first, others)) = patch.pieces().split_first() else {
+            return false;
+        };
         if others.is_empty() {
             return true;
         }
-        let Some(way) = beam::middle(planes, &first.ring) else { return false };
+        let Some(way) = beam::middle(planes, &first.ring) else {
+            return false;
+        };
         let way = Rounded::exact(way);
         let is_out = |e: &Edge| way.dot(&planes.normal(e.side)).sign() == Some(-1);
         others.iter().all(|piece| piece.ring.iter().any(is_out))

@@ -48,7 +48,11 @@ impl Patch {
     /// Adds a piece.
     pub fn push(&mut self, triangle: u32, facing: Facing, ring: &[Edge]) {
         if self.count == self.kept.len() {
-            self.kept.push(Piece { triangle, facing, ring: Ring::new() });
+            self.kept.push(Piece {
+                triangle,
+                facing,
+                ring: Ring::new(),
+            });
         }
         let piece = &mut self.kept[self.count];
         (piece.triangle, piece.facing) = (triangle, facing);

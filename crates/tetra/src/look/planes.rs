@@ -37,7 +37,10 @@ impl Plane {
         let (low, high) = (a.min(b), a.max(b));
         // The edge's own vector is far more precise than the difference of two long ways.
         let normal = eye.to(low).cross(&eye.between(low, high)).scaled();
-        Self { kind: Kind::Edge(low, high), normal }
+        Self {
+            kind: Kind::Edge(low, high),
+            normal,
+        }
     }
 }
 
@@ -125,7 +128,11 @@ impl Planes {
     #[inline]
     pub fn normal(&self, side: Side) -> Rounded {
         let normal = &self.list[side.plane()].normal;
-        if side.negative() { normal.reversed() } else { *normal }
+        if side.negative() {
+            normal.reversed()
+        } else {
+            *normal
+        }
     }
 
     /// The sign of a corner's product with a plane's normal.
@@ -159,7 +166,13 @@ impl Planes {
     }
 
     /// The corner where two sides meet, between two directions less than a right angle apart.
-    pub fn corner(&mut self, eye: &Eye<'_>, sides: [Side; 2], from: &Rounded, to: &Rounded) -> Corner {
+    pub fn corner(
+        &mut self,
+        eye: &Eye<'_>,
+        sides: [Side; 2],
+        from: &Rounded,
+        to: &Rounded,
+    ) -> Corner {
         let point = match sides.map(|s| self.list[s.plane()].kind) {
             [Kind::Edge(a, b), Kind::Edge(c, d)] if a == c || a == d => Some((a, b, c, d)),
             [Kind::Edge(a, b), Kind::Edge(c, d)] if b == c || b == d => Some((b, a, c, d)),
@@ -170,14 +183,20 @@ impl Planes {
             // The planes meet in the line through the point, and the corner is a positive combination of both
             // directions: its scalar product with their sum is at least half of all their lengths, far beyond
             // the bounds of good directions.
-            let between =
-                Rounded { v: std::array::from_fn(|k| from.v[k] + to.v[k]), error: from.error + to.error };
+            let between = Rounded {
+                v: std::array::from_fn(|k| from.v[k] + to.v[k]),
+                error: from.error + to.error,
+            };
             if way.dot(&between).sign() == Some(1) {
                 return Corner { way, sides, point };
             }
         }
         let way = self.normal(sides[0]).cross(&self.normal(sides[1]));
-        let mut corner = Corner { way: way.scaled(), sides, point: NONE };
+        let mut corner = Corner {
+            way: way.scaled(),
+            sides,
+            point: NONE,
+        };
         // Also where the product is 0 beside its bound, or not a number.
         if way.error.is_nan() || way.error > POOR * way.size() {
             self.integers += 1;
@@ -218,17 +237,27 @@ impl Facing {
         let normal = eye.between(a, b).cross(&eye.between(a, c));
         let height = eye.to(a).dot(&normal);
         // (a − x) · ((b − a) × (c − a)) is the determinant of the ways to the three.
-        let sign = height.sign().or_else(|| eye.turn(points)).unwrap_or_else(|| {
-            let [ab, ac] = [b, c].map(|p| eye.between_exactly(a, p));
-            eye::sign(&eye::dot(&eye.to_exactly(a), &eye::cross(&ab, &ac)))
-        });
+        let sign = height
+            .sign()
+            .or_else(|| eye.turn(points))
+            .unwrap_or_else(|| {
+                let [ab, ac] = [b, c].map(|p| eye.between_exactly(a, p));
+                eye::sign(&eye::dot(&eye.to_exactly(a), &eye::cross(&ab, &ac)))
+            });
         match sign {
             0 => None,
-            1 => Some(Self { points, normal, height }),
+            1 => Some(Self {
+                points,
+                normal,
+                height,
+            }),
             _ => Some(Self {
                 points: [a, c, b],
                 normal: normal.reversed(),
-                height: Number { value: -height.value, ..height },
+                height: Number {
+                    value: -height.value,
+                    ..height
+                },
             }),
         }
     }
@@ -238,7 +267,8 @@ impl Facing {
         ways.iter().all(|way| {
             let along = self.normal.dot(way);
             let value = along.value - self.height.value;
-            let error = along.error + self.height.error + U * (along.value.abs() + self.height.value.abs());
+            let error =
+                along.error + self.height.error + U * (along.value.abs() + self.height.value.abs());
             Number { value, error }.sign() == Some(1)
         })
     }
@@ -250,14 +280,20 @@ impl Facing {
 
     /// Whether both are in one plane, unless it is open.
     pub fn is_level_with(&self, eye: &Eye<'_>, other: &Self) -> bool {
-        other.points.iter().all(|p| eye.is_in_plane(*p, self.points) == Some(true))
+        other
+            .points
+            .iter()
+            .all(|p| eye.is_in_plane(*p, self.points) == Some(true))
     }
 
     /// The plane that divides the directions in which the other face is nearer from those in which this one
     /// is.
     pub fn meet(&self, other: &Self) -> Plane {
         let normal = Rounded::combination(self.height, &other.normal, other.height, &self.normal);
-        Plane { kind: Kind::Meet(self.points, other.points), normal: normal.scaled() }
+        Plane {
+            kind: Kind::Meet(self.points, other.points),
+            normal: normal.scaled(),
+        }
     }
 }
 
@@ -295,5 +331,10 @@ pub fn holds(eye: &Eye<'_>, points: [u32; 3]) -> bool {
         eye::cross(&eye.between_exactly(a, b), &eye.between_exactly(a, c))
     };
     // The viewpoint is in the plane: it is on the inner side of each edge or on it.
-    (0..3).all(|k| eye::sign(&eye::dot(&eye::cross(&ways[k], &ways[(k + 1) % 3]), &normal)) >= 0)
+    (0..3).all(|k| {
+        eye::sign(&eye::dot(
+            &eye::cross(&ways[k], &ways[(k + 1) % 3]),
+            &normal,
+        )) >= 0
+    })
 }

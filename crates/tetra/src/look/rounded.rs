@@ -25,7 +25,11 @@ pub fn dot(a: V, b: V) -> f64 {
 
 /// The cross product, without a bound.
 pub fn cross(a: V, b: V) -> V {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 /// The largest magnitude of a component.
@@ -101,11 +105,19 @@ impl Rounded {
     #[inline]
     pub fn cross(&self, b: &Self) -> Self {
         let (x, y) = (&self.v, &b.v);
-        let v = [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]];
+        let v = [
+            x[1] * y[2] - x[2] * y[1],
+            x[2] * y[0] - x[0] * y[2],
+            x[0] * y[1] - x[1] * y[0],
+        ];
         let (sa, sb) = (self.size(), b.size());
-        let error = 2.0 * (sa * b.error + sb * self.error + self.error * b.error) + 6.0 * U * sa * sb;
+        let error =
+            2.0 * (sa * b.error + sb * self.error + self.error * b.error) + 6.0 * U * sa * sb;
         // The bound itself is rounded a few times.
-        Self { v, error: error * (1.0 + 8.0 * U) + LEAST }
+        Self {
+            v,
+            error: error * (1.0 + 8.0 * U) + LEAST,
+        }
     }
 
     /// The scalar product: three products, each as above, and two sums.
@@ -114,8 +126,12 @@ impl Rounded {
         let (x, y) = (&self.v, &b.v);
         let value = x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
         let (sa, sb) = (self.size(), b.size());
-        let error = 3.0 * (sa * b.error + sb * self.error + self.error * b.error) + 10.0 * U * sa * sb;
-        Number { value, error: error * (1.0 + 8.0 * U) + LEAST }
+        let error =
+            3.0 * (sa * b.error + sb * self.error + self.error * b.error) + 10.0 * U * sa * sb;
+        Number {
+            value,
+            error: error * (1.0 + 8.0 * U) + LEAST,
+        }
     }
 
     /// The sign of the scalar product of two vectors whose components are below 2, if bounds leave no doubt.
@@ -140,7 +156,10 @@ impl Rounded {
             let (s, t) = (p.value.abs(), a.size());
             s * a.error + t * p.error + p.error * a.error + 3.0 * U * s * t
         };
-        Self { v, error: (part(p, a) + part(q, b)) * (1.0 + 8.0 * U) + LEAST }
+        Self {
+            v,
+            error: (part(p, a) + part(q, b)) * (1.0 + 8.0 * U) + LEAST,
+        }
     }
 
     /// The same direction with a size in [1, 2): the factor is a power of two, so nothing is rounded.
@@ -154,13 +173,19 @@ impl Rounded {
         let by = power_below(size);
         let v = self.v.map(|x| x * by.0 * by.1);
         // A bound that underflows to 0 would claim too much.
-        Self { v, error: self.error * by.0 * by.1 + f64::MIN_POSITIVE }
+        Self {
+            v,
+            error: self.error * by.0 * by.1 + f64::MIN_POSITIVE,
+        }
     }
 
     /// The vector in the opposite direction.
     #[inline]
     pub fn reversed(&self) -> Self {
-        Self { v: self.v.map(|x| -x), error: self.error }
+        Self {
+            v: self.v.map(|x| -x),
+            error: self.error,
+        }
     }
 }
 

@@ -48,7 +48,9 @@ impl Entered {
 
     /// Forgets all but the first that were added.
     pub fn truncate(&mut self, length: usize) {
-        self.list.drain(length..).for_each(|cell| self.is_in[cell as usize] = false);
+        self.list
+            .drain(length..)
+            .for_each(|cell| self.is_in[cell as usize] = false);
     }
 
     /// Whether a cell was added.
@@ -119,7 +121,9 @@ impl Tally {
 
     /// Keeps a witness if its part is the largest so far. The direction is computed only then.
     pub fn witness(&mut self, triangle: u32, area: f64, way: impl FnOnce() -> Option<[f64; 3]>) {
-        let Some(best) = self.best.get_mut(triangle as usize).filter(|_| self.wanted) else { return };
+        let Some(best) = self.best.get_mut(triangle as usize).filter(|_| self.wanted) else {
+            return;
+        };
         if area > best.0 || best.1.is_none() {
             let way = way();
             if way.is_some() {
@@ -134,10 +138,12 @@ impl Tally {
         seen.visible.clear();
         seen.visible.extend_from_slice(&self.seen);
         seen.areas.clear();
-        seen.areas.extend(self.seen.iter().map(|t| self.areas[*t as usize]));
+        seen.areas
+            .extend(self.seen.iter().map(|t| self.areas[*t as usize]));
         seen.witnesses.clear();
         if witnesses {
-            seen.witnesses.extend(self.seen.iter().map(|t| self.best[*t as usize].1));
+            seen.witnesses
+                .extend(self.seen.iter().map(|t| self.best[*t as usize].1));
         }
     }
 }

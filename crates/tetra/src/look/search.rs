@@ -46,7 +46,11 @@ pub struct Budget {
 
 impl Budget {
     /// As much as it takes.
-    pub const ALL: Self = Self { beam: 0.0, step: 0.0, most: f64::INFINITY };
+    pub const ALL: Self = Self {
+        beam: 0.0,
+        step: 0.0,
+        most: f64::INFINITY,
+    };
 
     /// What a search has cost so far.
     pub fn cost(&self, seen: &Seen) -> f64 {
@@ -77,7 +81,14 @@ impl Search<'_> {
             space.start(&self.eye, hint, &mut rings.start);
         }
         for signs in 0..8 {
-            let Scratch { planes, stack, beam, rings, entered, .. } = &mut *self.scratch;
+            let Scratch {
+                planes,
+                stack,
+                beam,
+                rings,
+                entered,
+                ..
+            } = &mut *self.scratch;
             beam::octant(planes, &self.eye, signs, &mut rings.inside);
             let missed = sides.iter().any(|side| {
                 match beam::place(planes, &self.eye, &rings.inside, *side, &mut rings.signs) {
@@ -108,10 +119,20 @@ impl Search<'_> {
             if self.scene.space.is_some() {
                 beam.pending.extend_from_slice(&rings.start);
             } else if !self.scene.nodes.is_empty() {
-                beam.pending.push(Entry { key: 0.0, first: 0, count: 0 });
+                beam.pending.push(Entry {
+                    key: 0.0,
+                    first: 0,
+                    count: 0,
+                });
             }
             self.begun += area(&rings.inside);
-            stack.push(beam, &rings.inside, caps, false, (planes.list.len(), entered.len()));
+            stack.push(
+                beam,
+                &rings.inside,
+                caps,
+                false,
+                (planes.list.len(), entered.len()),
+            );
         }
     }
 
@@ -152,14 +173,21 @@ impl Search<'_> {
                 continue;
             }
             if entry.count > 1 {
-                beam.pending.push(Entry { first: entry.first + 1, count: entry.count - 1, ..entry });
+                beam.pending.push(Entry {
+                    first: entry.first + 1,
+                    count: entry.count - 1,
+                    ..entry
+                });
             }
             let triangle = match self.scene.space {
                 Some(_) => entry.first,
                 None => self.scene.order[entry.first as usize],
             };
             // The cells name a triangle once for each of its faces.
-            if beam.caps.contains(&triangle) || beam.met.contains(&triangle) || self.is_sifted(triangle) {
+            if beam.caps.contains(&triangle)
+                || beam.met.contains(&triangle)
+                || self.is_sifted(triangle)
+            {
                 continue;
             }
             let before = cap.map(|cap| cap.points);
@@ -179,7 +207,11 @@ impl Search<'_> {
         sieve.of(planes, &beam.ring, cap.as_ref());
         self.refine(beam);
         if beam.caps.is_empty() {
-            return if beam.whole { self.see_whole(beam) } else { self.see(beam, cap) };
+            return if beam.whole {
+                self.see_whole(beam)
+            } else {
+                self.see(beam, cap)
+            };
         }
         if beam.whole {
             return false;
@@ -212,8 +244,16 @@ impl Search<'_> {
     /// Goes into a cell, if some of the beam does in front of its cap, and if no beam that this one is a part
     /// of has been there: what that found waits already.
     fn enter(&mut self, beam: &mut Beam, cap: Option<&Facing>, entry: &Entry) {
-        let Some(space) = &self.scene.space else { return };
-        let Scratch { planes, entered, seen, rings, .. } = &mut *self.scratch;
+        let Some(space) = &self.scene.space else {
+            return;
+        };
+        let Scratch {
+            planes,
+            entered,
+            seen,
+            rings,
+            ..
+        } = &mut *self.scratch;
         let cell = space.cell_of(entry);
         if entered.holds(cell)
             || !space.is_reached(&self.eye, planes, (&beam.ring, cap), entry, &mut rings.ways)
@@ -226,7 +266,14 @@ impl Search<'_> {
         let blocks = |t: u32| flags[t as usize] & BLOCKS != 0;
         let is_entered = |cell: u32| entered.holds(cell);
         let lists = (&mut beam.pending, &mut rings.ways);
-        space.leave(&self.eye, planes, (&beam.ring, cap), cell, (blocks, is_entered), lists);
+        space.leave(
+            &self.eye,
+            planes,
+            (&beam.ring, cap),
+            cell,
+            (blocks, is_entered),
+            lists,
+        );
     }
 
     pub(super) fn points(&self, triangle: u32) -> [u32; 3] {
@@ -243,6 +290,10 @@ impl Search<'_> {
 
     pub(super) fn flags(&self, triangle: u32) -> u8 {
         // Faces of targets block, and are in no set.
-        self.scene.flags.get(triangle as usize).copied().unwrap_or(BLOCKS)
+        self.scene
+            .flags
+            .get(triangle as usize)
+            .copied()
+            .unwrap_or(BLOCKS)
     }
 }

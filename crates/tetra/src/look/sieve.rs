@@ -71,7 +71,11 @@ impl Sieve {
     /// Begins a query from a viewpoint; no coordinate of the scene's box is farther than `reach` from it.
     pub fn begin(&mut self, x: [f64; 3], reach: f64) {
         self.x = x.into();
-        let exponent = if reach > 0.0 { -(libm::ilogb(reach) + 1) } else { 0 };
+        let exponent = if reach > 0.0 {
+            -(libm::ilogb(reach) + 1)
+        } else {
+            0
+        };
         self.scale = f64::powi(2.0, exponent.min(LARGEST));
         self.single_scale = self.scale as f32;
         let x = self.x * self.scale;
@@ -106,33 +110,54 @@ impl Sieve {
     }
 
     fn bound(&mut self, n: ([f64; 3], f64), c: (f64, f64)) {
-        add(&mut self.bounds, &mut self.bound_count, 1.0, n, (c.0, c.1 + self.slack));
+        add(
+            &mut self.bounds,
+            &mut self.bound_count,
+            1.0,
+            n,
+            (c.0, c.1 + self.slack),
+        );
         if self.is_narrow {
             // As in single precision, with doubles' own roundings: of normals, coordinates, products and
             // sums.
             let constant = c.0 + c.1 + c.0.abs() * 64.0 * U + f64::MIN_POSITIVE;
-            self.close.push(Close { normal: n.0.into(), error: 4.0 * n.1 + 64.0 * U, constant });
+            self.close.push(Close {
+                normal: n.0.into(),
+                error: 4.0 * n.1 + 64.0 * U,
+                constant,
+            });
         }
     }
 
     /// Adds a face to the patch.
     pub fn patch(&mut self, face: &Facing) {
         let (n, c) = self.scaled(face);
-        add(&mut self.patch, &mut self.patch_count, -1.0, n, (c.0, c.1 + self.slack));
+        add(
+            &mut self.patch,
+            &mut self.patch_count,
+            -1.0,
+            n,
+            (c.0, c.1 + self.slack),
+        );
     }
 
     /// A face's normal, outer side to the back, and its distance, with their bounds.
     fn scaled(&self, face: &Facing) -> (([f64; 3], f64), (f64, f64)) {
         let n = face.normal.scaled();
         let by = n.size() / face.normal.size() * self.scale;
-        ((n.v.map(|c| -c), n.error), (face.height.value * by, face.height.error * by))
+        (
+            (n.v.map(|c| -c), n.error),
+            (face.height.value * by, face.height.error * by),
+        )
     }
 
     /// Whether all of a box is outside of the beam, or behind its cap, or behind all of its patch.
     #[inline]
     pub fn stops(&self, low: [f32; 3], high: [f32; 3]) -> bool {
         let way = Ways::new(self.way(low), self.way(high));
-        self.bounds.iter().any(|g| way.most(g).cmplt(Vec4::ZERO).any())
+        self.bounds
+            .iter()
+            .any(|g| way.most(g).cmplt(Vec4::ZERO).any())
             || self.is_narrow && self.stops_closely(low, high)
             || !self.patch.is_empty() && way.is_behind(&self.patch)
     }
@@ -192,7 +217,11 @@ struct Ways {
 impl Ways {
     #[inline]
     fn new(near: Vec3A, far: Vec3A) -> Self {
-        Self { near, far, reach: near.abs().max(far.abs()).max_element() }
+        Self {
+            near,
+            far,
+            reach: near.abs().max(far.abs()).max_element(),
+        }
     }
 
     /// How far the box is on the inner side of four planes at most.
@@ -216,10 +245,16 @@ impl Ways {
 fn add(groups: &mut Vec<Group>, count: &mut usize, fill: f32, n: ([f64; 3], f64), c: (f64, f64)) {
     let lane = *count % LANES;
     if lane == 0 {
-        groups.push(Group { normals: [Vec4::ZERO; 3], constant: Vec4::splat(fill), margin: Vec4::ZERO });
+        groups.push(Group {
+            normals: [Vec4::ZERO; 3],
+            constant: Vec4::splat(fill),
+            margin: Vec4::ZERO,
+        });
     }
     *count += 1;
-    let Some(group) = groups.last_mut() else { return };
+    let Some(group) = groups.last_mut() else {
+        return;
+    };
     for (normals, n) in group.normals.iter_mut().zip(n.0) {
         normals[lane] = n as f32;
     }

@@ -39,11 +39,16 @@ impl<'a> Space<'a> {
         // The box's corners end the points.
         let corners = &cells.points[cells.points.len().saturating_sub(8)..];
         let side = (0..3).map(|k| {
-            let of = |start: f32, pick: fn(f32, f32) -> f32| corners.iter().map(|p| p[k]).fold(start, pick);
+            let of = |start: f32, pick: fn(f32, f32) -> f32| {
+                corners.iter().map(|p| p[k]).fold(start, pick)
+            };
             f64::from(of(f32::NEG_INFINITY, f32::max)) - f64::from(of(f32::INFINITY, f32::min))
         });
         // Twice the side is at least the power of two above it.
-        Self { cells, slack: side.fold(0.0, f64::max) * 2.0 * f64::powi(2.0, -44) }
+        Self {
+            cells,
+            slack: side.fold(0.0, f64::max) * 2.0 * f64::powi(2.0, -44),
+        }
     }
 
     /// What a face, as `faces_of` lists it, means to the viewpoint.
@@ -59,7 +64,10 @@ impl<'a> Space<'a> {
             Some(axis) => {
                 let way: [f64; 3] = std::array::from_fn(|k| f64::from(u8::from(k == axis)));
                 side(eye, a, [eye.between(a, b), Rounded::exact(way)], || {
-                    [eye.between_exactly(a, b), way.map(|c| dashu_int::IBig::from(u8::from(c == 1.0)))]
+                    [
+                        eye.between_exactly(a, b),
+                        way.map(|c| dashu_int::IBig::from(u8::from(c == 1.0))),
+                    ]
                 })
             }
         };
@@ -68,7 +76,11 @@ impl<'a> Space<'a> {
         }
         let in_front = behind < 0;
         let cell_in_front = listed & 1 == 0;
-        if in_front == cell_in_front { Way::Out } else { Way::In }
+        if in_front == cell_in_front {
+            Way::Out
+        } else {
+            Way::In
+        }
     }
 
     /// The cells in which beams start: those that hold the viewpoint, and from outside of the box those whose
@@ -99,7 +111,9 @@ impl<'a> Space<'a> {
 
     /// The cells that hold the viewpoint, their borders included; none outside of the box.
     pub fn around(&self, eye: &Eye<'_>, hint: &mut Option<u32>, found: &mut Vec<Entry>) {
-        let Some(first) = self.locate(eye, *hint) else { return };
+        let Some(first) = self.locate(eye, *hint) else {
+            return;
+        };
         *hint = Some(first);
         found.push(entry(first));
         let mut next = 0;
@@ -123,13 +137,18 @@ impl<'a> Space<'a> {
 
     /// Whether a cell holds the viewpoint, its border included.
     fn holds(&self, eye: &Eye<'_>, cell: u32) -> bool {
-        self.cells.faces_of(cell as usize).iter().all(|f| self.way(eye, *f) != Way::In)
+        self.cells
+            .faces_of(cell as usize)
+            .iter()
+            .all(|f| self.way(eye, *f) != Way::In)
     }
 
     /// A cell that holds the viewpoint, by a walk from `hint`; nothing outside of the box.
     pub fn locate(&self, eye: &Eye<'_>, hint: Option<u32>) -> Option<u32> {
         let count = self.cells.cell_count();
-        let mut at = hint.filter(|hint| (*hint as usize) < count).or_else(|| self.nearest_of_some(eye.x))?;
+        let mut at = hint
+            .filter(|hint| (*hint as usize) < count)
+            .or_else(|| self.nearest_of_some(eye.x))?;
         // Cells are in front of one another without a circle, so the walk ends; the count stops it in damaged
         // data.
         for _ in 0..=count {
@@ -161,13 +180,19 @@ impl<'a> Space<'a> {
             let place = self.cells.place(self.cells.face_loop(face)[0]);
             (0..3).fold(0.0, |sum, k| sum + (place[k] - x[k]) * (place[k] - x[k]))
         };
-        let nearest = (0..count).step_by(step).min_by(|a, b| apart(*a).total_cmp(&apart(*b)));
+        let nearest = (0..count)
+            .step_by(step)
+            .min_by(|a, b| apart(*a).total_cmp(&apart(*b)));
         nearest.map(|cell| cell as u32)
     }
 
     /// The cell that an entry is about.
     pub fn cell_of(&self, entry: &Entry) -> u32 {
-        if entry.count == THROUGH_FACE { self.beyond(entry.first) } else { entry.first }
+        if entry.count == THROUGH_FACE {
+            self.beyond(entry.first)
+        } else {
+            entry.first
+        }
     }
 
     /// Whether a beam may still go through the face by which an entry is to be entered. It has become
@@ -181,7 +206,9 @@ impl<'a> Space<'a> {
         ways: &mut Vec<Rounded>,
     ) -> bool {
         entry.count != THROUGH_FACE
-            || self.overlaps(eye, planes, beam, (entry.first >> 1) as usize, ways).is_some()
+            || self
+                .overlaps(eye, planes, beam, (entry.first >> 1) as usize, ways)
+                .is_some()
     }
 
     /// What a beam meets in a cell: the triangles of the faces by which it may leave, and the cells beyond
@@ -203,16 +230,27 @@ impl<'a> Space<'a> {
             }
             let other = self.beyond(*listed);
             let triangles = self.cells.face_triangles(face);
-            let passes = other != NONE && !is_entered(other) && !triangles.iter().any(|t| blocks(*t));
+            let passes =
+                other != NONE && !is_entered(other) && !triangles.iter().any(|t| blocks(*t));
             if triangles.is_empty() && !passes {
                 continue;
             }
-            let Some(key) = self.overlaps(eye, planes, (ring, cap), face, ways) else { continue };
+            let Some(key) = self.overlaps(eye, planes, (ring, cap), face, ways) else {
+                continue;
+            };
             for triangle in triangles {
-                pending.push(Entry { key: -1.0, first: *triangle, count: 1 });
+                pending.push(Entry {
+                    key: -1.0,
+                    first: *triangle,
+                    count: 1,
+                });
             }
             if passes {
-                pending.push(Entry { key, first: *listed, count: THROUGH_FACE });
+                pending.push(Entry {
+                    key,
+                    first: *listed,
+                    count: THROUGH_FACE,
+                });
             }
         }
         // Triangles first, for they may end the beam; then the nearest cells. What was there is in order
@@ -254,7 +292,10 @@ impl<'a> Space<'a> {
             let normal = a.cross(b);
             let inner = ways.iter().find_map(|way| normal.dot(way).sign());
             let Some(inner) = inner else { continue };
-            if ring.iter().all(|e| e.corner.way.dot(&normal).sign() == Some(-inner)) {
+            if ring
+                .iter()
+                .all(|e| e.corner.way.dot(&normal).sign() == Some(-inner))
+            {
                 return None;
             }
         }
@@ -270,12 +311,19 @@ impl<'a> Space<'a> {
         }
         // Rounded places are off by this and one unit in the last place (`Cells::rounded`).
         let last = 2.0 * U * place.iter().fold(0.0f64, |m, c| m.max(c.abs()));
-        Rounded { error: way.error + self.slack + last, ..way }
+        Rounded {
+            error: way.error + self.slack + last,
+            ..way
+        }
     }
 }
 
 fn entry(cell: u32) -> Entry {
-    Entry { key: 0.0, first: cell, count: 0 }
+    Entry {
+        key: 0.0,
+        first: cell,
+        count: 0,
+    }
 }
 
 /// The sign of (p × q) · (a − x): positive where the viewpoint is behind the plane through a along p and q.

@@ -64,7 +64,14 @@ pub struct Stack {
 impl Stack {
     /// Puts a part of a beam on the stack. `made` are the numbers of planes that exist, and of cells that the
     /// beam has entered.
-    pub fn push(&mut self, beam: &Beam, ring: &[Edge], caps: &[u32], whole: bool, made: (usize, usize)) {
+    pub fn push(
+        &mut self,
+        beam: &Beam,
+        ring: &[Edge],
+        caps: &[u32],
+        whole: bool,
+        made: (usize, usize),
+    ) {
         self.tops.push(Top {
             ring: self.ring.len(),
             pending: self.pending.len(),

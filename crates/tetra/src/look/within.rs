@@ -33,18 +33,33 @@ impl Limits {
             let size = d.iter().fold(0.0f64, |m, c| m.max(c.abs()));
             let axis = unit(d.map(|c| c / size));
             if half > std::f64::consts::FRAC_PI_2 {
-                Cone { axis: axis.map(|c| -c), cosine: -libm::cos(half) }
+                Cone {
+                    axis: axis.map(|c| -c),
+                    cosine: -libm::cos(half),
+                }
             } else {
-                Cone { axis, cosine: libm::cos(half).max(0.0) }
+                Cone {
+                    axis,
+                    cosine: libm::cos(half).max(0.0),
+                }
             }
         });
-        Self { cone, complement: half > std::f64::consts::FRAC_PI_2, half, distance: view.distance }
+        Self {
+            cone,
+            complement: half > std::f64::consts::FRAC_PI_2,
+            half,
+            distance: view.distance,
+        }
     }
 
     /// Planes that enclose the cone, if it is not too wide for them.
     pub fn planes(&self, planes: &mut Planes) -> Vec<Side> {
-        let Some(Cone { axis, .. }) = self.cone.filter(|_| self.half <= WIDEST) else { return Vec::new() };
-        let least = (0..3).min_by(|a, b| axis[*a].abs().total_cmp(&axis[*b].abs())).unwrap_or(0);
+        let Some(Cone { axis, .. }) = self.cone.filter(|_| self.half <= WIDEST) else {
+            return Vec::new();
+        };
+        let least = (0..3)
+            .min_by(|a, b| axis[*a].abs().total_cmp(&axis[*b].abs()))
+            .unwrap_or(0);
         let side: [f64; 3] = std::array::from_fn(|k| f64::from(u8::from(k == least)));
         let u = unit(cross(axis, side));
         let v = cross(axis, u);
@@ -56,7 +71,10 @@ impl Limits {
                 let normal = std::array::from_fn(|k| {
                     libm::sin(half) * axis[k] + libm::cos(half) * (c * u[k] + s * v[k])
                 });
-                planes.add(Plane { kind: Kind::Normal(normal), normal: Rounded::exact(normal).scaled() })
+                planes.add(Plane {
+                    kind: Kind::Normal(normal),
+                    normal: Rounded::exact(normal).scaled(),
+                })
             })
             .collect()
     }
@@ -72,8 +90,13 @@ impl Limits {
                 let n = face.normal.v;
                 let size = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
                 let cosine = face.height.value / size / distance;
-                let cone = Cone { axis: unit(n), cosine: cosine.max(0.0) };
-                (cosine < 1.0).then(|| self.within(ring, Some(cone))).flatten()
+                let cone = Cone {
+                    axis: unit(n),
+                    cosine: cosine.max(0.0),
+                };
+                (cosine < 1.0)
+                    .then(|| self.within(ring, Some(cone)))
+                    .flatten()
             }
         };
         (whole, near)
@@ -81,9 +104,20 @@ impl Limits {
 
     /// The solid angle of a beam within the view's cone and another one.
     fn within(&self, ring: &[Edge], other: Option<Cone>) -> Option<f64> {
-        let of = |cones: &[Cone]| if cones.is_empty() { Some(area(ring)) } else { area_within(ring, cones) };
-        let Some(cone) = self.cone else { return of(other.as_slice()) };
-        let both = [Some(cone), other].into_iter().flatten().collect::<Vec<_>>();
+        let of = |cones: &[Cone]| {
+            if cones.is_empty() {
+                Some(area(ring))
+            } else {
+                area_within(ring, cones)
+            }
+        };
+        let Some(cone) = self.cone else {
+            return of(other.as_slice());
+        };
+        let both = [Some(cone), other]
+            .into_iter()
+            .flatten()
+            .collect::<Vec<_>>();
         if !self.complement {
             return of(&both);
         }
@@ -111,7 +145,9 @@ impl Limits {
         self.distance.is_some_and(|distance| {
             let mut sum = 0.0;
             for k in 0..3 {
-                let d = (f64::from(low[k]) - x[k]).max(x[k] - f64::from(high[k])).max(0.0);
+                let d = (f64::from(low[k]) - x[k])
+                    .max(x[k] - f64::from(high[k]))
+                    .max(0.0);
                 sum += d * d;
             }
             // A few roundings of one part in 2⁵³ each.

@@ -56,7 +56,9 @@ fn is_in_both(eye: &Eye<'_>, other: Kind, kind: Kind) -> bool {
 fn holds(eye: &Eye<'_>, kind: Kind, p: u32) -> bool {
     match kind {
         Kind::Edge(a, b) => p == a || p == b || eye.turn([p, a, b]) == Some(0),
-        Kind::Meet(f, g) => [f, g].iter().all(|face| eye.is_in_plane(p, *face) == Some(true)),
+        Kind::Meet(f, g) => [f, g]
+            .iter()
+            .all(|face| eye.is_in_plane(p, *face) == Some(true)),
         Kind::Normal(_) => false,
     }
 }
@@ -66,7 +68,10 @@ fn is_at_a_point(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
     let both = |p: u32| holds(eye, first, p) && holds(eye, second, p);
     match kind {
         Kind::Edge(a, b) => both(a) || both(b),
-        Kind::Meet(f, g) => f.into_iter().chain(g).any(|p| holds(eye, kind, p) && both(p)),
+        Kind::Meet(f, g) => f
+            .into_iter()
+            .chain(g)
+            .any(|p| holds(eye, kind, p) && both(p)),
         Kind::Normal(_) => false,
     }
 }
@@ -75,7 +80,9 @@ fn is_at_a_point(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
 fn is_along_an_axis(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
     let Kind::Edge(a, b) = kind else { return false };
     let (p, q) = (eye.point(a), eye.point(b));
-    let Some(axis) = (0..3).find(|k| (0..3).all(|j| j == *k || p[j] == q[j])) else { return false };
+    let Some(axis) = (0..3).find(|k| (0..3).all(|j| j == *k || p[j] == q[j])) else {
+        return false;
+    };
     [first, second].into_iter().all(|plane| match plane {
         Kind::Edge(a, b) => {
             let (p, q) = (eye.point(a), eye.point(b));
@@ -95,12 +102,11 @@ fn is_by_meets(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
             others((f, g), (h, k)).is_some_and(|(f, h)| has_edge(f, a, b) && has_edge(h, a, b))
         }
         // And if their planes differ, only there.
-        (Kind::Meet(f, g), Kind::Meet(h, k), Kind::Edge(a, b)) => {
-            others((f, g), (h, k)).is_some_and(|(f, h)| {
+        (Kind::Meet(f, g), Kind::Meet(h, k), Kind::Edge(a, b)) => others((f, g), (h, k))
+            .is_some_and(|(f, h)| {
                 let differ = || h.iter().any(|p| eye.is_in_plane(*p, f) == Some(false));
                 has_edge(f, a, b) && has_edge(h, a, b) && differ()
-            })
-        }
+            }),
         // w(f) = w(g) and w(g) = w(h).
         (Kind::Meet(f, g), Kind::Meet(h, k), Kind::Meet(i, j)) => {
             others((f, g), (h, k)).is_some_and(|rest| rest == (i, j) || rest == (j, i))

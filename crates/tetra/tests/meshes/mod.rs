@@ -17,7 +17,13 @@ pub fn few_points() -> impl Strategy<Value = Vec<Triangle>> {
 /// Sheets of squares over a lattice, at heights of which many agree, through one another; some squares are
 /// left out, and some are divided at the middle of an edge.
 pub fn sheets() -> impl Strategy<Value = Vec<Triangle>> {
-    let sheet = (prop::collection::vec(-2..=2i8, 25), any::<u16>(), any::<u16>(), 0..3usize, any::<bool>());
+    let sheet = (
+        prop::collection::vec(-2..=2i8, 25),
+        any::<u16>(),
+        any::<u16>(),
+        0..3usize,
+        any::<bool>(),
+    );
     prop::collection::vec(sheet, 1..4).prop_map(|sheets| {
         let mut all = Vec::new();
         for (heights, kept, split, axis, fine) in sheets {

@@ -22,7 +22,10 @@ impl Maker {
             "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [] }],
             "nodes": [], "meshes": [], "accessors": [], "bufferViews": [], "buffers": [{}],
         });
-        Self { json, bytes: Vec::new() }
+        Self {
+            json,
+            bytes: Vec::new(),
+        }
     }
 
     /// Adds an element to an array, and returns its number.
@@ -39,7 +42,10 @@ impl Maker {
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let (at, size) = (self.bytes.len(), bytes.len());
         self.bytes.extend(bytes);
-        self.push("bufferViews", json!({ "buffer": 0, "byteOffset": at, "byteLength": size }))
+        self.push(
+            "bufferViews",
+            json!({ "buffer": 0, "byteOffset": at, "byteLength": size }),
+        )
     }
 
     /// Adds an accessor of floats.
@@ -51,8 +57,12 @@ impl Maker {
         };
         let view = self.view(numbers.iter().flat_map(|f| f.to_le_bytes()).collect());
         let of = |c: usize| numbers.iter().skip(c).step_by(n).copied();
-        let min: Vec<f32> = (0..n).map(|c| of(c).fold(f32::INFINITY, f32::min)).collect();
-        let max: Vec<f32> = (0..n).map(|c| of(c).fold(f32::NEG_INFINITY, f32::max)).collect();
+        let min: Vec<f32> = (0..n)
+            .map(|c| of(c).fold(f32::INFINITY, f32::min))
+            .collect();
+        let max: Vec<f32> = (0..n)
+            .map(|c| of(c).fold(f32::NEG_INFINITY, f32::max))
+            .collect();
         self.push(
             "accessors",
             json!({
@@ -65,15 +75,19 @@ impl Maker {
     /// Adds an accessor of indices of 16 bits.
     pub fn indices(&mut self, all: &[u16]) -> usize {
         let view = self.view(all.iter().flat_map(|i| i.to_le_bytes()).collect());
-        let accessor =
-            json!({ "bufferView": view, "componentType": 5123, "count": all.len(), "type": "SCALAR" });
+        let accessor = json!({
+            "bufferView": view, "componentType": 5123, "count": all.len(), "type": "SCALAR"
+        });
         self.push("accessors", accessor)
     }
 
     /// Adds a node at the root.
     pub fn node(&mut self, node: Value) -> usize {
         let number = self.push("nodes", node);
-        self.json["scenes"][0]["nodes"].as_array_mut().unwrap().push(json!(number));
+        self.json["scenes"][0]["nodes"]
+            .as_array_mut()
+            .unwrap()
+            .push(json!(number));
         number
     }
 
@@ -106,10 +120,22 @@ impl Maker {
 
 /// The eight vertices and twelve triangles of a cube from 0 to 1, wound outward.
 pub fn cube() -> (Vec<f32>, Vec<u16>) {
-    let positions = (0..8).flat_map(|i| [i & 1, i >> 1 & 1, i >> 2 & 1]).map(|b| b as f32).collect();
-    let faces: [[u16; 4]; 6] =
-        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let triangles = faces.iter().flat_map(|f| [f[0], f[1], f[2], f[0], f[2], f[3]]).collect();
+    let positions = (0..8)
+        .flat_map(|i| [i & 1, i >> 1 & 1, i >> 2 & 1])
+        .map(|b| b as f32)
+        .collect();
+    let faces: [[u16; 4]; 6] = [
+        [0, 2, 3, 1],
+        [4, 5, 7, 6],
+        [0, 1, 5, 4],
+        [2, 6, 7, 3],
+        [0, 4, 6, 2],
+        [1, 3, 7, 5],
+    ];
+    let triangles = faces
+        .iter()
+        .flat_map(|f| [f[0], f[1], f[2], f[0], f[2], f[3]])
+        .collect();
     (positions, triangles)
 }
 
@@ -136,11 +162,17 @@ pub fn written(glb: &[u8], settings: &Settings, value: impl Fn(DVec3, DVec3) -> 
     let plan = Plan::new("test.glb", glb, None, &scene, settings).unwrap();
     let values = plan.receivers().iter();
     let values: Vec<_> = values
-        .map(|r| sightline_texels::Value { open: value(r.point, r.normal).clamp(0.0, 1.0), inside: false })
+        .map(|r| sightline_texels::Value {
+            open: value(r.point, r.normal).clamp(0.0, 1.0),
+            inside: false,
+        })
         .collect();
     let written = plan.write(&values).unwrap();
     let again = sightline_scene::load_bytes("out.glb", &written.glb, None).unwrap();
-    assert!(again.triangles() == scene.triangles(), "triangles or their order changed");
+    assert!(
+        again.triangles() == scene.triangles(),
+        "triangles or their order changed"
+    );
     written
 }
 
@@ -165,7 +197,10 @@ impl Read {
         let json: Value = serde_json::from_slice(text).unwrap();
         let bytes = glb[28 + text.len()..].to_vec();
         assert!(number(&json["buffers"][0]["byteLength"]) <= bytes.len());
-        assert!(json["buffers"].as_array().unwrap().len() == 1 && json["buffers"][0].get("uri").is_none());
+        assert!(
+            json["buffers"].as_array().unwrap().len() == 1
+                && json["buffers"][0].get("uri").is_none()
+        );
         Self { json, bytes }
     }
 
@@ -216,7 +251,9 @@ impl Read {
     /// The triangles of a primitive as numbers of vertices.
     pub fn triangles(&self, mesh: usize, p: usize) -> Vec<[usize; 3]> {
         let all = self.accessor(number(&self.primitive(mesh, p)["indices"]));
-        all.chunks(3).map(|c| [c[0] as usize, c[1] as usize, c[2] as usize]).collect()
+        all.chunks(3)
+            .map(|c| [c[0] as usize, c[1] as usize, c[2] as usize])
+            .collect()
     }
 
     /// The texture coordinates of the corners of each triangle, of the set that the occlusion texture has.
@@ -224,24 +261,34 @@ impl Read {
         let material = &self.json["materials"][number(&self.primitive(mesh, p)["material"])];
         let set = number(&material["occlusionTexture"]["texCoord"]);
         let uv = self.attribute(mesh, p, &format!("TEXCOORD_{set}"));
-        self.triangles(mesh, p).iter().map(|t| t.map(|v| [uv[2 * v], uv[2 * v + 1]])).collect()
+        self.triangles(mesh, p)
+            .iter()
+            .map(|t| t.map(|v| [uv[2 * v], uv[2 * v + 1]]))
+            .collect()
     }
 
     /// The occlusion image: width, height, values from 0 to 1.
     pub fn image(&self) -> Image {
         let images = self.json["images"].as_array().unwrap();
         let png = self.view(number(&images[images.len() - 1]["bufferView"]));
-        let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(png))
+            .read_info()
+            .unwrap();
         let mut data = vec![0; reader.output_buffer_size().unwrap()];
         let info = reader.next_frame(&mut data).unwrap();
         assert_eq!(info.color_type, png::ColorType::Grayscale);
         let values = match info.bit_depth {
-            png::BitDepth::Sixteen => {
-                data.chunks(2).map(|b| f64::from(u16::from_be_bytes([b[0], b[1]])) / 65535.0).collect()
-            }
+            png::BitDepth::Sixteen => data
+                .chunks(2)
+                .map(|b| f64::from(u16::from_be_bytes([b[0], b[1]])) / 65535.0)
+                .collect(),
             _ => data.iter().map(|b| f64::from(*b) / 255.0).collect(),
         };
-        Image { width: info.width as usize, height: info.height as usize, values }
+        Image {
+            width: info.width as usize,
+            height: info.height as usize,
+            values,
+        }
     }
 }
 
@@ -260,12 +307,18 @@ impl Image {
     pub fn at(&self, uv: [f64; 2]) -> f64 {
         let place = |c: f64, n: usize| {
             let c = (c * n as f64 - 0.5).clamp(0.0, (n - 1) as f64);
-            (c.floor() as usize, (c.floor() as usize + 1).min(n - 1), c.fract())
+            (
+                c.floor() as usize,
+                (c.floor() as usize + 1).min(n - 1),
+                c.fract(),
+            )
         };
         let ((x, xx, fx), (y, yy, fy)) = (place(uv[0], self.width), place(uv[1], self.height));
         let of = |x: usize, y: usize| self.values[y * self.width + x];
-        let (above, below) =
-            (of(x, y) * (1.0 - fx) + of(xx, y) * fx, of(x, yy) * (1.0 - fx) + of(xx, yy) * fx);
+        let (above, below) = (
+            of(x, y) * (1.0 - fx) + of(xx, y) * fx,
+            of(x, yy) * (1.0 - fx) + of(xx, yy) * fx,
+        );
         above * (1.0 - fy) + below * fy
     }
 }

@@ -18,7 +18,9 @@ impl World<'_> {
                 self.granted += 1;
                 continue;
             }
-            let Some((sent, tile)) = self.open.first().copied() else { return };
+            let Some((sent, tile)) = self.open.first().copied() else {
+                return;
+            };
             if sent >= most_helpers(self.open.len()).min(self.most_helpers) {
                 return;
             }
@@ -55,7 +57,8 @@ impl World<'_> {
             ToCoordinator::Enter => {
                 self.tiles[tile].helpers.push(w);
                 self.tell(leader, tile, ToWorker::Joined(member));
-                (0..self.tiles[tile].outcomes).for_each(|phase| self.tell(w, tile, ToWorker::Outcome(phase)));
+                (0..self.tiles[tile].outcomes)
+                    .for_each(|phase| self.tell(w, tile, ToWorker::Outcome(phase)));
             }
             ToCoordinator::Ask(phase) => self.tell_leader(tile, ToWorker::Ask(member, phase)),
             ToCoordinator::Found(phase, items) => {
@@ -107,8 +110,11 @@ impl World<'_> {
                 let leads = matches!(message, ToWorker::Grant(_));
                 let worker = &mut self.workers[w];
                 (worker.tile, worker.phase) = (tile, 0);
-                worker.role =
-                    if leads { Role::Leads(Default::default()) } else { Role::Helps(Default::default()) };
+                worker.role = if leads {
+                    Role::Leads(Default::default())
+                } else {
+                    Role::Helps(Default::default())
+                };
                 if leads {
                     self.tiles[tile].leader = w;
                 }

@@ -16,13 +16,18 @@ impl World<'_> {
 
     /// Whether the items of the present phase are not needed any more.
     fn is_finished(&mut self, w: usize) -> bool {
-        self.helps(w).is_none_or(|(helps, phase)| helps.is_over || helps.outcomes.contains(&phase))
+        self.helps(w)
+            .is_none_or(|(helps, phase)| helps.is_over || helps.outcomes.contains(&phase))
     }
 
     /// What follows when the helper has the scene.
     pub(super) fn helper_begins(&mut self, w: usize) {
         self.say(w, ToCoordinator::Enter);
-        let task = if self.workers[w].has_facts { Task::Begin } else { Task::Facts };
+        let task = if self.workers[w].has_facts {
+            Task::Begin
+        } else {
+            Task::Facts
+        };
         self.begin(w, task);
     }
 
@@ -40,14 +45,23 @@ impl World<'_> {
             }
             Task::Begin => self.enter_phase(w),
             Task::Prepare => {
-                let Some((helps, _)) = self.helps(w) else { return };
+                let Some((helps, _)) = self.helps(w) else {
+                    return;
+                };
                 if !std::mem::replace(&mut helps.has_asked, true) {
                     (0..IN_HAND).for_each(|_| self.say(w, ToCoordinator::Ask(phase)));
                 }
                 self.step(w);
             }
             Task::Item(_) => {
-                if let Some((Helps { piece: Some((_, done)), .. }, _)) = self.helps(w) {
+                if let Some((
+                    Helps {
+                        piece: Some((_, done)),
+                        ..
+                    },
+                    _,
+                )) = self.helps(w)
+                {
                     *done += 1;
                 }
                 self.step(w);
@@ -80,7 +94,9 @@ impl World<'_> {
     /// What a helper does next in a phase.
     fn step(&mut self, w: usize) {
         let finished = self.is_finished(w);
-        let Some((helps, phase)) = self.helps(w) else { return };
+        let Some((helps, phase)) = self.helps(w) else {
+            return;
+        };
         if let Some((items, done)) = helps.piece.take()
             && !finished
         {
@@ -113,7 +129,9 @@ impl World<'_> {
 
     /// A message to a helper.
     pub(super) fn helper_hears(&mut self, w: usize, message: ToWorker) {
-        let Some((helps, phase)) = self.helps(w) else { return };
+        let Some((helps, phase)) = self.helps(w) else {
+            return;
+        };
         match message {
             ToWorker::Take(of, items) => helps.pieces.push_back((of, items)),
             ToWorker::Outcome(of) if of >= phase => drop(helps.outcomes.insert(of)),

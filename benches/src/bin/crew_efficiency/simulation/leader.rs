@@ -40,7 +40,9 @@ impl World<'_> {
                 leads.queue = Some(Queue::new(costs));
                 leads.asking.clear();
                 for _ in 0..IN_HAND {
-                    leads.asking.extend(leads.ready.iter().map(|member| (*member, number)));
+                    leads
+                        .asking
+                        .extend(leads.ready.iter().map(|member| (*member, number)));
                 }
                 self.give(w);
                 self.next_item(w);
@@ -83,7 +85,11 @@ impl World<'_> {
 
     /// What follows when the leader has the scene.
     pub(super) fn leader_begins(&mut self, w: usize) {
-        let task = if self.workers[w].has_facts { Task::Begin } else { Task::Facts };
+        let task = if self.workers[w].has_facts {
+            Task::Begin
+        } else {
+            Task::Facts
+        };
         self.begin(w, task);
     }
 
@@ -93,7 +99,11 @@ impl World<'_> {
         if let Some(items) = leads.done.pop_front() {
             return self.begin(w, Task::AddPiece(items));
         }
-        while let Some(item) = leads.queue.as_mut().and_then(|q| q.next_free().or_else(|| q.next_given())) {
+        while let Some(item) = leads
+            .queue
+            .as_mut()
+            .and_then(|q| q.next_free().or_else(|| q.next_given()))
+        {
             if !leads.answered[item] {
                 return self.begin(w, Task::Item(item as u32));
             }
@@ -146,10 +156,16 @@ impl World<'_> {
     fn give(&mut self, w: usize) {
         let Some(leads) = self.leads(w) else { return };
         let (number, members) = (leads.number, leads.helpers.len() + 1);
-        let Some(queue) = &mut leads.queue else { return };
+        let Some(queue) = &mut leads.queue else {
+            return;
+        };
         let (mut waiting, mut given) = (VecDeque::new(), Vec::<(Member, Vec<u32>)>::new());
         while let Some((member, phase)) = leads.asking.pop_front() {
-            let piece = if phase == number { queue.piece(member, members) } else { Vec::new() };
+            let piece = if phase == number {
+                queue.piece(member, members)
+            } else {
+                Vec::new()
+            };
             if piece.is_empty() {
                 waiting.push_back((member, phase));
             } else {

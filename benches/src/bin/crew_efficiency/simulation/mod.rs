@@ -26,7 +26,12 @@ mod tests {
     const SECOND: u64 = 1_000_000_000;
 
     fn block(phases: usize) -> BlockTrace {
-        let item = ItemTrace { compute: SECOND / 100, take: 0, bytes: 100, add: 0 };
+        let item = ItemTrace {
+            compute: SECOND / 100,
+            take: 0,
+            bytes: 100,
+            add: 0,
+        };
         let phase = PhaseTrace {
             prepare: 0,
             costs: vec![1; 400],
@@ -36,14 +41,42 @@ mod tests {
             add: 0,
             gap: SECOND / 10,
         };
-        BlockTrace { cells: 1, begin: 0, phases: vec![phase; phases], end: 0, output: 1, assemble: 0 }
+        BlockTrace {
+            cells: 1,
+            begin: 0,
+            phases: vec![phase; phases],
+            end: 0,
+            output: 1,
+            assemble: 0,
+        }
     }
 
     fn simulate(blocks: &[BlockTrace], workers: usize, cores: Option<u64>) -> Outcome {
-        let scene = SceneTrace { load: 0, bytes: 0, parse: 0, facts: 0 };
-        let network = Network { latency: 1000, worker: 1e10, coordinator: 1e11 };
-        let job = Job { scene: &scene, tiles: blocks.iter().collect() };
-        run(&job, Settings { workers, cores, most_helpers: 31, network, is_warm: true })
+        let scene = SceneTrace {
+            load: 0,
+            bytes: 0,
+            parse: 0,
+            facts: 0,
+        };
+        let network = Network {
+            latency: 1000,
+            worker: 1e10,
+            coordinator: 1e11,
+        };
+        let job = Job {
+            scene: &scene,
+            tiles: blocks.iter().collect(),
+        };
+        run(
+            &job,
+            Settings {
+                workers,
+                cores,
+                most_helpers: 31,
+                network,
+                is_warm: true,
+            },
+        )
     }
 
     #[test]

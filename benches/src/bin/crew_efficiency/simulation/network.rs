@@ -43,14 +43,23 @@ impl Links {
     /// Free links for a number of workers.
     pub fn new(network: Network, workers: usize) -> Self {
         let free = vec![Link::default(); workers];
-        Self { network, up: free.clone(), down: free, coordinator: Default::default(), bytes: 0 }
+        Self {
+            network,
+            up: free.clone(),
+            down: free,
+            coordinator: Default::default(),
+            bytes: 0,
+        }
     }
 
     /// When a message of a worker is at the coordinator.
     pub fn up(&mut self, now: u64, worker: usize, bytes: u64) -> u64 {
         self.bytes += bytes;
         let left = self.up[worker].carry((now, now), bytes, self.network.worker);
-        self.coordinator[0].carry(left, bytes, self.network.coordinator).1 + self.network.latency
+        self.coordinator[0]
+            .carry(left, bytes, self.network.coordinator)
+            .1
+            + self.network.latency
     }
 
     /// When a message of the coordinator is at a worker.

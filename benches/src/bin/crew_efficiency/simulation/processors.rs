@@ -17,7 +17,12 @@ pub struct Processors {
 impl Processors {
     /// Cores for all workers together; `None` for one each.
     pub fn new(cores: Option<u64>) -> Self {
-        Self { cores, done: 0, at: 0, busy: BTreeSet::new() }
+        Self {
+            cores,
+            done: 0,
+            at: 0,
+            busy: BTreeSet::new(),
+        }
     }
 
     /// Workers for each core in use: numerator and denominator.

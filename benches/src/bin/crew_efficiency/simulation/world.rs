@@ -74,7 +74,11 @@ pub struct World<'a> {
 
 /// Simulates a job.
 pub fn run(job: &Job<'_>, settings: Settings) -> Outcome {
-    let worker = || Worker { has_scene: settings.is_warm, has_facts: settings.is_warm, ..Worker::default() };
+    let worker = || Worker {
+        has_scene: settings.is_warm,
+        has_facts: settings.is_warm,
+        ..Worker::default()
+    };
     let mut world = World {
         now: 0,
         job,
@@ -98,7 +102,12 @@ pub fn run(job: &Job<'_>, settings: Settings) -> Outcome {
     }
     world.grant();
     while world.left > 0 && world.happen() {}
-    let items: u64 = job.tiles.iter().flat_map(|t| &t.phases).map(PhaseTrace::work).sum();
+    let items: u64 = job
+        .tiles
+        .iter()
+        .flat_map(|t| &t.phases)
+        .map(PhaseTrace::work)
+        .sum();
     Outcome {
         sampled: world.now,
         wall: world.now + job.tiles.iter().map(|t| t.assemble).sum::<u64>(),
@@ -112,7 +121,9 @@ impl World<'_> {
     /// The next thing happens; `false` when nothing is left.
     fn happen(&mut self) -> bool {
         let event = self.events.first_key_value().map(|((at, _), _)| *at);
-        let Some(now) = event.into_iter().chain(self.processors.next()).min() else { return false };
+        let Some(now) = event.into_iter().chain(self.processors.next()).min() else {
+            return false;
+        };
         self.processors.advance(now);
         self.now = now;
         if event == Some(now) {
@@ -127,7 +138,9 @@ impl World<'_> {
                 _ => {}
             }
         } else if let Some(w) = self.processors.end() {
-            let Some(task) = self.workers[w].task.take() else { return true };
+            let Some(task) = self.workers[w].task.take() else {
+                return true;
+            };
             match self.workers[w].role {
                 Role::Leads(_) => self.leader_did(w, task),
                 Role::Helps(_) => self.helper_did(w, task),
@@ -195,9 +208,10 @@ impl World<'_> {
         let (bytes, about) = match &message {
             ToWorker::Grant(_) | ToWorker::Help(_) => (0, None),
             ToWorker::Scene => (self.job.scene.bytes, None),
-            ToWorker::Found(phase, items) => {
-                (phases[*phase as usize].finds(items) + 3 * items.len() as u64, Some(tile))
-            }
+            ToWorker::Found(phase, items) => (
+                phases[*phase as usize].finds(items) + 3 * items.len() as u64,
+                Some(tile),
+            ),
             ToWorker::Take(_, items) => (3 * items.len() as u64, Some(tile)),
             ToWorker::Outcome(phase) => (phases[*phase as usize].outcome, Some(tile)),
             _ => (0, Some(tile)),

@@ -12,7 +12,8 @@ use object_store::aws::{AmazonS3, AmazonS3Builder, AmazonS3ConfigKey as Key, Che
 use object_store::path::Path;
 use object_store::signer::{Method, SignedUrlOptions, Signer as _};
 use object_store::{
-    BackoffConfig, Error, MultipartUpload, ObjectStore as _, ObjectStoreExt as _, PutPayload, RetryConfig,
+    BackoffConfig, Error, MultipartUpload, ObjectStore as _, ObjectStoreExt as _, PutPayload,
+    RetryConfig,
 };
 use tokio::runtime::Runtime;
 use tokio::task::JoinSet;
@@ -61,21 +62,37 @@ impl Bucket {
     /// What is wrong with the settings, or with the store.
     pub(super) fn open(place: &BucketPlace) -> Result<Self, BlobError> {
         let name = place.name();
-        let unusable = |reason: String| BlobError::Unusable { place: place.name(), reason };
+        let unusable = |reason: String| BlobError::Unusable {
+            place: place.name(),
+            reason,
+        };
         let builder = settings(place)?;
-        let authorities = place.ca.as_deref().map(authorities).transpose().map_err(unusable)?;
+        let authorities = place
+            .ca
+            .as_deref()
+            .map(authorities)
+            .transpose()
+            .map_err(unusable)?;
         let roots = sightline_http::roots(authorities.as_deref()).map_err(unusable)?;
         let client = Http::new(roots).map_err(unusable)?;
         let make = |builder: &AmazonS3Builder, retry| {
-            let builder = builder.clone().with_http_connector(client.clone()).with_retry(growing(retry));
+            let builder = builder
+                .clone()
+                .with_http_connector(client.clone())
+                .with_retry(growing(retry));
             builder.build().map_err(|e| faults::of("set up", &name, &e))
         };
         let signer = match &place.direct {
             Ways::Coordinator => None,
             Ways::Endpoint => Some(make(&builder, FIRST)?),
             Ways::Address(address) => {
-                place.check(address).map_err(|e| unusable(format!("direct=: {e}")))?;
-                let there = builder.clone().with_endpoint(address).with_config(Key::S3Endpoint, address);
+                place
+                    .check(address)
+                    .map_err(|e| unusable(format!("direct=: {e}")))?;
+                let there = builder
+                    .clone()
+                    .with_endpoint(address)
+                    .with_config(Key::S3Endpoint, address);
                 Some(make(&there, FIRST)?)
             }
         };
@@ -103,10 +120,15 @@ impl Bucket {
     fn probe(&self) -> Result<(), BlobError> {
         // Who may not list is told of absent objects that they are forbidden.
         let prefix = Path::from(self.prefix.as_str());
-        self.run("list", &prefix, self.store.list_with_delimiter(Some(&prefix))).map_err(|e| match e {
-            BlobError::Missing { .. } | BlobError::NoBucket { .. } => {
-                BlobError::NoBucket { place: self.name.clone() }
-            }
+        self.run(
+            "list",
+            &prefix,
+            self.store.list_with_delimiter(Some(&prefix)),
+        )
+        .map_err(|e| match e {
+            BlobError::Missing { .. } | BlobError::NoBucket { .. } => BlobError::NoBucket {
+                place: self.name.clone(),
+            },
             e => e,
         })?;
         // Of each process its own, since several coordinators may start at a time.
@@ -119,8 +141,15 @@ impl Bucket {
             Ok(())
         })?;
         if read != bytes {
-            let (doing, reason) = ("read back what was written to", "other bytes came back".to_owned());
-            return Err(BlobError::Object { doing, place: self.at(&key), reason });
+            let (doing, reason) = (
+                "read back what was written to",
+                "other bytes came back".to_owned(),
+            );
+            return Err(BlobError::Object {
+                doing,
+                place: self.at(&key),
+                reason,
+            });
         }
         self.delete(&key)
     }
@@ -133,14 +162,22 @@ impl Bucket {
 
     /// What is at a key, for messages.
     pub(super) fn at(&self, key: &Path) -> String {
-        let bucket = self.name.strip_suffix(&self.prefix).unwrap_or(&self.name).trim_end_matches('/');
+        let bucket = self
+            .name
+            .strip_suffix(&self.prefix)
+            .unwrap_or(&self.name)
+            .trim_end_matches('/');
         format!("{bucket}/{key}")
     }
 
     /// Runs on the threads of the bucket until it is done.
     fn wait<T>(&self, future: impl Future<Output = Result<T, BlobError>>) -> Result<T, BlobError> {
         let (doing, reason) = ("reach", "the coordinator is stopping".to_owned());
-        let gone = || BlobError::Unreachable { doing, place: self.name.clone(), reason };
+        let gone = || BlobError::Unreachable {
+            doing,
+            place: self.name.clone(),
+            reason,
+        };
         self.runtime.as_ref().ok_or_else(gone)?.block_on(future)
     }
 
@@ -150,7 +187,11 @@ impl Bucket {
         key: &Path,
         future: impl Future<Output = Result<T, Error>>,
     ) -> Result<T, BlobError> {
-        self.wait(async { future.await.map_err(|e| faults::of(doing, &self.at(key), &e)) })
+        self.wait(async {
+            future
+                .await
+                .map_err(|e| faults::of(doing, &self.at(key), &e))
+        })
     }
 
     /// The size of an object; `None` when there is none.
@@ -178,7 +219,10 @@ impl Bucket {
         folder: Option<&str>,
         mut visit: impl FnMut(&Path, u64, SystemTime) -> bool,
     ) -> Result<(), BlobError> {
-        let prefix = folder.map_or_else(|| Path::from(self.prefix.as_str()), |folder| self.key(folder));
+        let prefix = folder.map_or_else(
+            || Path::from(self.prefix.as_str()),
+            |folder| self.key(folder),
+        );
         let fault = |e: Error| faults::of("list", &self.at(&prefix), &e);
         self.wait(async {
             let mut objects = self.store.list(Some(&prefix));
@@ -212,8 +256,14 @@ impl Bucket {
 
     /// Writes a small object.
     pub(super) fn put(&self, key: &Path, bytes: Bytes) -> Result<(), BlobError> {
-        self.written.fetch_add(bytes.len() as u64, Ordering::Relaxed);
-        self.run("write", key, self.store.put(key, PutPayload::from_bytes(bytes))).map(drop)
+        self.written
+            .fetch_add(bytes.len() as u64, Ordering::Relaxed);
+        self.run(
+            "write",
+            key,
+            self.store.put(key, PutPayload::from_bytes(bytes)),
+        )
+        .map(drop)
     }
 
     /// Has the store copy an object, of at most 5 GiB, over whatever is there.
@@ -243,8 +293,12 @@ impl Bucket {
             place: self.name.clone(),
             reason: "workers have no addresses here".to_owned(),
         })?;
-        self.run("sign an address of", key, signer.signed_url_opts(method, key, lives, options))
-            .map(String::from)
+        self.run(
+            "sign an address of",
+            key,
+            signer.signed_url_opts(method, key, lives, options),
+        )
+        .map(String::from)
     }
 
     /// The bytes of blobs that were read and written.
@@ -254,13 +308,22 @@ impl Bucket {
     }
 
     /// Writes an object from a file of this length. It is there as a whole or not at all.
-    pub(super) fn put_file(&self, key: &Path, file: &mut impl Read, length: u64) -> Result<(), BlobError> {
+    pub(super) fn put_file(
+        &self,
+        key: &Path,
+        file: &mut impl Read,
+        length: u64,
+    ) -> Result<(), BlobError> {
         let broken = fault("read", FilePath::new("a blob that is uploaded"));
         let mut piece = |bytes: u64| {
             let mut piece = Vec::with_capacity(bytes as usize);
             file.take(bytes).read_to_end(&mut piece).map_err(&broken)?;
             let short = || broken(std::io::ErrorKind::UnexpectedEof.into());
-            if piece.len() as u64 == bytes { Ok(Bytes::from(piece)) } else { Err(short()) }
+            if piece.len() as u64 == bytes {
+                Ok(Bytes::from(piece))
+            } else {
+                Err(short())
+            }
         };
         if length <= WHOLE {
             return self.put(key, piece(length)?);
@@ -326,7 +389,11 @@ impl Drop for Bucket {
 fn growing((max_retries, retry_timeout): (usize, Duration)) -> RetryConfig {
     let (init_backoff, max_backoff) = (Duration::from_millis(100), Duration::from_secs(8));
     RetryConfig {
-        backoff: BackoffConfig { init_backoff, max_backoff, base: 2.0 },
+        backoff: BackoffConfig {
+            init_backoff,
+            max_backoff,
+            base: 2.0,
+        },
         max_retries,
         retry_timeout,
     }
@@ -334,7 +401,10 @@ fn growing((max_retries, retry_timeout): (usize, Duration)) -> RetryConfig {
 
 /// The settings of the environment, and those of the place over them.
 fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
-    let unusable = |reason: String| BlobError::Unusable { place: place.name(), reason };
+    let unusable = |reason: String| BlobError::Unusable {
+        place: place.name(),
+        reason,
+    };
     let mut builder = AmazonS3Builder::from_env()
         .with_bucket_name(&place.bucket)
         .with_checksum_algorithm(Checksum::SHA256)
@@ -344,27 +414,40 @@ fn settings(place: &BucketPlace) -> Result<AmazonS3Builder, BlobError> {
         builder = builder.with_region(region);
     }
     if let Some(endpoint) = &place.endpoint {
-        builder = builder.with_endpoint(endpoint).with_config(Key::S3Endpoint, endpoint);
+        builder = builder
+            .with_endpoint(endpoint)
+            .with_config(Key::S3Endpoint, endpoint);
     }
     if let Some(path) = &place.keys {
         let Keys { id, secret, token } = Keys::read(path).map_err(|e| unusable(e.to_string()))?;
-        builder = builder.with_access_key_id(id).with_secret_access_key(secret);
+        builder = builder
+            .with_access_key_id(id)
+            .with_secret_access_key(secret);
         if let Some(token) = token {
             builder = builder.with_token(token);
         }
     }
     // The one for S3 alone counts where both are there.
-    let endpoint = [Key::S3Endpoint, Key::Endpoint].iter().find_map(|key| builder.get_config_value(key));
+    let endpoint = [Key::S3Endpoint, Key::Endpoint]
+        .iter()
+        .find_map(|key| builder.get_config_value(key));
     if let Some(endpoint) = &endpoint {
         place.check(endpoint).map_err(|e| unusable(e.to_string()))?;
     }
     let has = |key: &Key| builder.get_config_value(key).is_some();
     let [id, secret] = [Key::AccessKeyId, Key::SecretAccessKey].map(|key| has(&key));
-    let roles =
-        [Key::WebIdentityTokenFile, Key::ContainerCredentialsFullUri, Key::ContainerCredentialsRelativeUri];
+    let roles = [
+        Key::WebIdentityTokenFile,
+        Key::ContainerCredentialsFullUri,
+        Key::ContainerCredentialsRelativeUri,
+    ];
     // Amazon's own machines have roles; elsewhere nobody would answer for them.
     if id != secret || !id && endpoint.is_some() && !roles.iter().any(has) {
-        let missing = if id { "AWS_SECRET_ACCESS_KEY" } else { "AWS_ACCESS_KEY_ID" };
+        let missing = if id {
+            "AWS_SECRET_ACCESS_KEY"
+        } else {
+            "AWS_ACCESS_KEY_ID"
+        };
         return Err(unusable(format!("there are no keys: {missing} is not set")));
     }
     Ok(builder)

@@ -48,7 +48,9 @@ impl Index {
     fn shrink(&mut self, most: u64) -> Vec<Digest> {
         let mut gone = Vec::new();
         while self.bytes > most {
-            let Some(digest) = self.by_use.first_key_value().map(|(_, digest)| *digest) else { break };
+            let Some(digest) = self.by_use.first_key_value().map(|(_, digest)| *digest) else {
+                break;
+            };
             self.forget(&digest);
             gone.push(digest);
         }
@@ -70,7 +72,8 @@ impl Cache {
                     let entry = entry.map_err(fault("list", &inner))?;
                     let path = entry.path();
                     let metadata = entry.metadata().map_err(fault("look at", &path))?;
-                    let Ok(digest) = blake3::Hash::from_hex(entry.file_name().as_encoded_bytes()) else {
+                    let Ok(digest) = blake3::Hash::from_hex(entry.file_name().as_encoded_bytes())
+                    else {
                         continue;
                     };
                     let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
@@ -80,8 +83,14 @@ impl Cache {
         }
         found.sort_unstable();
         let mut index = Index::default();
-        found.into_iter().for_each(|(_, digest, bytes)| index.note(digest, bytes));
-        let cache = Self { files, most, index: Mutex::new(index) };
+        found
+            .into_iter()
+            .for_each(|(_, digest, bytes)| index.note(digest, bytes));
+        let cache = Self {
+            files,
+            most,
+            index: Mutex::new(index),
+        };
         cache.shrink();
         Ok(cache)
     }
@@ -108,7 +117,9 @@ impl Cache {
             }
             Err(e) => {
                 if !matches!(e, BlobError::Missing { .. }) {
-                    tracing::warn!("{e}; that was a copy, and it is read from the object store again");
+                    tracing::warn!(
+                        "{e}; that was a copy, and it is read from the object store again"
+                    );
                 }
                 self.remove(digest);
                 None
@@ -121,7 +132,12 @@ impl Cache {
     ///
     /// # Errors
     /// When the file cannot be opened or put in place.
-    pub(super) fn keep(&self, writer: FileWriter, digest: Digest, bytes: u64) -> Result<File, BlobError> {
+    pub(super) fn keep(
+        &self,
+        writer: FileWriter,
+        digest: Digest,
+        bytes: u64,
+    ) -> Result<File, BlobError> {
         let file = File::open(writer.path()).map_err(fault("open", writer.path()))?;
         if bytes <= self.most {
             writer.place(Some(&digest), false)?;
@@ -172,7 +188,11 @@ mod tests {
         writer.append(bytes).unwrap();
         let digest = *blake3::hash(bytes).as_bytes();
         let mut read = Vec::new();
-        cache.keep(writer, digest, bytes.len() as u64).unwrap().read_to_end(&mut read).unwrap();
+        cache
+            .keep(writer, digest, bytes.len() as u64)
+            .unwrap()
+            .read_to_end(&mut read)
+            .unwrap();
         assert_eq!(read, bytes);
         digest
     }
@@ -186,7 +206,10 @@ mod tests {
         let c = put(&cache, &[3; 40]);
         assert!(cache.get(&a).is_some() && cache.get(&b).is_none() && cache.get(&c).is_some());
         let large = put(&cache, &[4; 101]);
-        assert!(cache.get(&large).is_none() && cache.get(&a).is_some(), "it pushes nothing out");
+        assert!(
+            cache.get(&large).is_none() && cache.get(&a).is_some(),
+            "it pushes nothing out"
+        );
         std::fs::write(cache.files().path(&a), [7; 40]).unwrap();
         assert!(cache.get(&a).is_none() && !cache.files().path(&a).exists());
         // What is there counts at the next start; of what is too much, something goes.
@@ -194,6 +217,11 @@ mod tests {
         drop(cache);
         let cache = Cache::open(directory.path(), 50).unwrap();
         assert_eq!(cache.index().bytes, 40);
-        assert_eq!(std::fs::read_dir(directory.path().join("tmp")).unwrap().count(), 0);
+        assert_eq!(
+            std::fs::read_dir(directory.path().join("tmp"))
+                .unwrap()
+                .count(),
+            0
+        );
     }
 }

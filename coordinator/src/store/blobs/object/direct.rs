@@ -39,7 +39,11 @@ impl ObjectBlobs {
             options = options.with_signed_header(HeaderName::from_static(name), value);
         }
         let url = self.0.bucket.sign(method, key, LIVES, &options)?;
-        Ok(Address { url, headers: headers.to_vec(), lives: LIVES })
+        Ok(Address {
+            url,
+            headers: headers.to_vec(),
+            lives: LIVES,
+        })
     }
 }
 
@@ -60,7 +64,9 @@ impl Direct for ObjectBlobs {
 
     fn read_staged(&self, staged: &Staged) -> Result<Vec<u8>, BlobError> {
         let key = self.staged(staged);
-        let damaged = || BlobError::Damaged { path: self.0.bucket.at(&key).into() };
+        let damaged = || BlobError::Damaged {
+            path: self.0.bucket.at(&key).into(),
+        };
         let mut bytes = Vec::new();
         self.0.bucket.get(&key, |piece| {
             // Memory grows with what comes, and ends with what was announced.
@@ -70,13 +76,19 @@ impl Direct for ObjectBlobs {
             bytes.extend_from_slice(piece);
             Ok(())
         })?;
-        if bytes.len() as u64 == staged.bytes { Ok(bytes) } else { Err(damaged()) }
+        if bytes.len() as u64 == staged.bytes {
+            Ok(bytes)
+        } else {
+            Err(damaged())
+        }
     }
 
     fn adopt(&self, staged: &Staged, digest: &Digest, bytes: &[u8]) -> Result<(), BlobError> {
         // The address was good for bytes of one SHA-256 alone, so what is copied is what was read, where the
         // store checks that; elsewhere the digest of the blob tells when it is read.
-        self.0.bucket.copy(&self.staged(staged), &self.key(digest))?;
+        self.0
+            .bucket
+            .copy(&self.staged(staged), &self.key(digest))?;
         let kept = self.0.cache.files().writer().and_then(|mut writer| {
             writer.append(bytes)?;
             self.0.cache.keep(writer, *digest, bytes.len() as u64)

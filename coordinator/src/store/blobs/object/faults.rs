@@ -17,26 +17,61 @@ pub(super) fn of(doing: &'static str, place: &str, e: &Error) -> BlobError {
         (_, Some("NoSuchBucket")) => BlobError::NoBucket { place },
         (Error::NotFound { .. }, _) => BlobError::Missing { path: place.into() },
         (Error::PermissionDenied { .. } | Error::Unauthenticated { .. }, code) => {
-            BlobError::Refused { doing, place, reason: code.unwrap_or("no reason given").to_owned() }
+            BlobError::Refused {
+                doing,
+                place,
+                reason: code.unwrap_or("no reason given").to_owned(),
+            }
         }
         (
             _,
-            Some(code @ ("InvalidAccessKeyId" | "ExpiredToken" | "InvalidToken" | "SignatureDoesNotMatch")),
-        ) => BlobError::Refused { doing, place, reason: code.to_owned() },
+            Some(
+                code @ ("InvalidAccessKeyId"
+                | "ExpiredToken"
+                | "InvalidToken"
+                | "SignatureDoesNotMatch"),
+            ),
+        ) => BlobError::Refused {
+            doing,
+            place,
+            reason: code.to_owned(),
+        },
         (Error::Generic { .. }, code) => match (http(e), code, status(&text)) {
-            (Some(reason), _, _) => BlobError::Unreachable { doing, place, reason },
+            (Some(reason), _, _) => BlobError::Unreachable {
+                doing,
+                place,
+                reason,
+            },
             // The store's own troubles pass.
             (None, code, Some(status @ ("429" | "500" | "502" | "503" | "504"))) => {
                 let reason = code.map_or_else(|| format!("status {status}"), str::to_owned);
-                BlobError::Unreachable { doing, place, reason }
+                BlobError::Unreachable {
+                    doing,
+                    place,
+                    reason,
+                }
             }
-            (None, Some(code), _) => BlobError::Object { doing, place, reason: code.to_owned() },
-            (None, None, Some(status)) => {
-                BlobError::Object { doing, place, reason: format!("status {status}") }
-            }
-            (None, None, None) => BlobError::Object { doing, place, reason: "no answer of S3".to_owned() },
+            (None, Some(code), _) => BlobError::Object {
+                doing,
+                place,
+                reason: code.to_owned(),
+            },
+            (None, None, Some(status)) => BlobError::Object {
+                doing,
+                place,
+                reason: format!("status {status}"),
+            },
+            (None, None, None) => BlobError::Object {
+                doing,
+                place,
+                reason: "no answer of S3".to_owned(),
+            },
         },
-        (_, code) => BlobError::Object { doing, place, reason: code.unwrap_or("no answer of S3").to_owned() },
+        (_, code) => BlobError::Object {
+            doing,
+            place,
+            reason: code.unwrap_or("no answer of S3").to_owned(),
+        },
     }
 }
 
@@ -64,7 +99,8 @@ fn http(e: &Error) -> Option<String> {
 /// The status in the text of an error, as object_store writes it.
 fn status(text: &str) -> Option<&str> {
     let (_, rest) = text.split_once("status code: ")?;
-    rest.get(..3).filter(|status| status.bytes().all(|b| b.is_ascii_digit()))
+    rest.get(..3)
+        .filter(|status| status.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// A code of S3 between two marks.
@@ -78,7 +114,10 @@ mod tests {
     use super::*;
 
     fn generic(text: &str) -> Error {
-        Error::Generic { store: "S3", source: text.into() }
+        Error::Generic {
+            store: "S3",
+            source: text.into(),
+        }
     }
 
     #[test]
@@ -86,13 +125,31 @@ mod tests {
         let body = "Server returned non-2xx status code: 400 Bad Request: <Error><Code>KeyTooLong</Code>\
                     <StringToSign>hush</StringToSign></Error>";
         let e = of("write", "s3://farm", &generic(body));
-        assert!(matches!(&e, BlobError::Object { reason, .. } if reason == "KeyTooLong"), "{e}");
+        assert!(
+            matches!(&e, BlobError::Object { reason, .. } if reason == "KeyTooLong"),
+            "{e}"
+        );
         assert!(!format!("{e} {e:?}").contains("hush"));
-        let e = of("write", "s3://farm", &generic("status code: 503 Service Unavailable: hush"));
-        assert!(matches!(&e, BlobError::Unreachable { reason, .. } if reason == "status 503"), "{e}");
-        let e = of("write", "s3://farm", &generic("<Code>InvalidAccessKeyId</Code>"));
+        let e = of(
+            "write",
+            "s3://farm",
+            &generic("status code: 503 Service Unavailable: hush"),
+        );
+        assert!(
+            matches!(&e, BlobError::Unreachable { reason, .. } if reason == "status 503"),
+            "{e}"
+        );
+        let e = of(
+            "write",
+            "s3://farm",
+            &generic("<Code>InvalidAccessKeyId</Code>"),
+        );
         assert!(matches!(e, BlobError::Refused { .. }), "{e}");
-        let e = of("write", "s3://farm", &generic("<Code>not a code: hush</Code>"));
+        let e = of(
+            "write",
+            "s3://farm",
+            &generic("<Code>not a code: hush</Code>"),
+        );
         assert!(!format!("{e} {e:?}").contains("hush"));
     }
 }

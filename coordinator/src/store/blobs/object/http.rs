@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use object_store::ClientOptions;
 use object_store::client::{
-    HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpRequestBody, HttpResponse,
-    HttpResponseBody, HttpService,
+    HttpClient, HttpConnector, HttpError, HttpErrorKind, HttpRequest, HttpRequestBody,
+    HttpResponse, HttpResponseBody, HttpService,
 };
 use sightline_http::{Answer, Client, During, Fault, RootCertStore};
 
@@ -28,8 +28,15 @@ pub(super) struct Http(Client<HttpRequestBody>);
 /// # Errors
 /// What is wrong with the file.
 pub(super) fn authorities(path: &Path) -> Result<Vec<u8>, String> {
-    let bad = |e: String| format!("{}: {e}; ca= names the store's authority as PEM", path.display());
-    let length = std::fs::metadata(path).map_err(|e| bad(e.to_string()))?.len();
+    let bad = |e: String| {
+        format!(
+            "{}: {e}; ca= names the store's authority as PEM",
+            path.display()
+        )
+    };
+    let length = std::fs::metadata(path)
+        .map_err(|e| bad(e.to_string()))?
+        .len();
     if length > MOST_CA {
         return Err(bad("it is too large".to_owned()));
     }
@@ -66,8 +73,16 @@ fn error(fault: Fault) -> HttpError {
 #[tonic::async_trait]
 impl HttpService for Http {
     async fn call(&self, request: HttpRequest) -> Result<HttpResponse, HttpError> {
-        let (parts, body) = self.0.request(request, ANSWER).await.map_err(error)?.into_parts();
-        Ok(HttpResponse::from_parts(parts, HttpResponseBody::new(Body(body))))
+        let (parts, body) = self
+            .0
+            .request(request, ANSWER)
+            .await
+            .map_err(error)?
+            .into_parts();
+        Ok(HttpResponse::from_parts(
+            parts,
+            HttpResponseBody::new(Body(body)),
+        ))
     }
 }
 

@@ -38,8 +38,13 @@ impl Keys {
     /// # Errors
     /// When there are none.
     pub(super) fn read(path: &Path) -> Result<Self, KeysError> {
-        let bad = |reason: String| KeysError { path: path.to_owned(), reason };
-        let length = std::fs::metadata(path).map_err(|e| bad(e.to_string()))?.len();
+        let bad = |reason: String| KeysError {
+            path: path.to_owned(),
+            reason,
+        };
+        let length = std::fs::metadata(path)
+            .map_err(|e| bad(e.to_string()))?
+            .len();
         if length > MOST {
             return Err(bad("it is too large".to_owned()));
         }
@@ -54,7 +59,9 @@ impl Keys {
             if line.starts_with('[') {
                 is_ours = line == "[default]";
             }
-            let Some((name, value)) = line.split_once('=').filter(|_| is_ours) else { continue };
+            let Some((name, value)) = line.split_once('=').filter(|_| is_ours) else {
+                continue;
+            };
             let slot = match name.trim() {
                 "aws_access_key_id" => &mut id,
                 "aws_secret_access_key" => &mut secret,
@@ -78,12 +85,23 @@ mod tests {
         let text = "[other]\naws_access_key_id=x\n[default]\naws_access_key_id = ada \n\
                     aws_secret_access_key=hush=\n# nothing\n";
         let keys = Keys::parse(text).unwrap();
-        assert_eq!((keys.id.as_str(), keys.secret.as_str(), &keys.token), ("ada", "hush=", &None));
+        assert_eq!(
+            (keys.id.as_str(), keys.secret.as_str(), &keys.token),
+            ("ada", "hush=", &None)
+        );
         assert!(!format!("{keys:?}").contains("hush"));
-        let token = Keys::parse("aws_access_key_id=a\naws_secret_access_key=b\naws_session_token=c").unwrap();
+        let token =
+            Keys::parse("aws_access_key_id=a\naws_secret_access_key=b\naws_session_token=c")
+                .unwrap();
         assert_eq!(token.token.as_deref(), Some("c"));
-        assert_eq!(Keys::parse("[other]\naws_access_key_id=x"), Err("it has no aws_access_key_id"));
-        assert_eq!(Keys::parse("aws_access_key_id=x\n"), Err("it has no aws_secret_access_key"));
+        assert_eq!(
+            Keys::parse("[other]\naws_access_key_id=x"),
+            Err("it has no aws_access_key_id")
+        );
+        assert_eq!(
+            Keys::parse("aws_access_key_id=x\n"),
+            Err("it has no aws_secret_access_key")
+        );
         let missing = Keys::read(Path::new("/nowhere/keys")).unwrap_err();
         assert!(missing.to_string().contains("/nowhere/keys"), "{missing}");
     }

@@ -71,18 +71,25 @@ impl ObjectBlobs {
         let (key, mut writer) = (self.key(digest), self.0.cache.files().writer()?);
         self.0.bucket.get(&key, |piece| writer.append(piece))?;
         if writer.digest().as_bytes() != digest {
-            return Err(BlobError::Damaged { path: self.0.bucket.at(&key).into() });
+            return Err(BlobError::Damaged {
+                path: self.0.bucket.at(&key).into(),
+            });
         }
         let length = writer.length();
         let file = self.0.cache.keep(writer, *digest, length)?;
-        Ok(BlobReader { bytes: Box::new(file), length })
+        Ok(BlobReader {
+            bytes: Box::new(file),
+            length,
+        })
     }
 
     /// Publishes a blob that is in a file, which is kept as a copy.
     fn publish(&self, writer: FileWriter, digest: Digest) -> Result<(), BlobError> {
         let length = writer.length();
         let mut file = File::open(writer.path()).map_err(fault("open", writer.path()))?;
-        self.0.bucket.put_file(&self.key(&digest), &mut file, length)?;
+        self.0
+            .bucket
+            .put_file(&self.key(&digest), &mut file, length)?;
         if let Err(e) = self.0.cache.keep(writer, digest, length) {
             tracing::warn!("{e}; the blob is in the object store, and no copy of it here");
         }
@@ -98,7 +105,10 @@ impl Blobs for ObjectBlobs {
     fn read(&self, digest: &Digest) -> Result<Vec<u8>, BlobError> {
         let mut reader = self.open_checked(digest)?;
         let mut bytes = Vec::new();
-        reader.bytes.read_to_end(&mut bytes).map_err(|e| self.io_error(e))?;
+        reader
+            .bytes
+            .read_to_end(&mut bytes)
+            .map_err(|e| self.io_error(e))?;
         Ok(bytes)
     }
 
@@ -123,13 +133,20 @@ impl Blobs for ObjectBlobs {
     }
 
     fn put_stream(&self) -> Result<Box<dyn BlobWriter>, BlobError> {
-        Ok(Box::new(ObjectWriter { blobs: self.clone(), file: self.0.cache.files().writer()? }))
+        Ok(Box::new(ObjectWriter {
+            blobs: self.clone(),
+            file: self.0.cache.files().writer()?,
+        }))
     }
 
     fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
         self.0.bucket.list(None, |key, bytes, written| {
             match blake3::Hash::from_hex(key.filename().unwrap_or_default()) {
-                Ok(digest) => visit(Stored { digest: *digest.as_bytes(), bytes, written }),
+                Ok(digest) => visit(Stored {
+                    digest: *digest.as_bytes(),
+                    bytes,
+                    written,
+                }),
                 // Objects that are no blobs are nobody's business.
                 Err(_) => true,
             }
@@ -168,7 +185,9 @@ impl Blobs for ObjectBlobs {
 
     fn claim(&self, store: StoreId) -> Result<(), BlobError> {
         let text = format!("{store}\n");
-        self.0.bucket.put(&self.0.bucket.key(OWNER), text.into_bytes().into())
+        self.0
+            .bucket
+            .put(&self.0.bucket.key(OWNER), text.into_bytes().into())
     }
 
     fn direct(&self) -> Option<&dyn Direct> {

@@ -94,7 +94,9 @@ pub enum PlaceError {
     )]
     Direct,
     /// The bound of the cache is not one.
-    #[error("cache= of s3:// is a number of bytes, or one with K, M, G or T behind it, such as 20G")]
+    #[error(
+        "cache= of s3:// is a number of bytes, or one with K, M, G or T behind it, such as 20G"
+    )]
     Cache,
 }
 
@@ -109,7 +111,10 @@ impl FromStr for BlobPlace {
         let (path, options) = rest.split_once('?').unwrap_or((rest, ""));
         let (bucket, prefix) = path.split_once('/').unwrap_or((path, ""));
         let prefix = prefix.strip_suffix('/').unwrap_or(prefix);
-        let plain = |s: &str, more: &str| s.chars().all(|c| c.is_ascii_alphanumeric() || more.contains(c));
+        let plain = |s: &str, more: &str| {
+            s.chars()
+                .all(|c| c.is_ascii_alphanumeric() || more.contains(c))
+        };
         if !(3..=63).contains(&bucket.len()) || !plain(bucket, "-._") {
             return Err(PlaceError::Bucket);
         }
@@ -137,8 +142,18 @@ impl FromStr for BlobPlace {
                 "region" => set(&mut place.region, "region", value, value.to_owned())?,
                 "ca" => set(&mut place.ca, "ca", value, value.into())?,
                 "keys" => set(&mut place.keys, "keys", value, value.into())?,
-                "cache" => set(&mut cache, "cache", value, bytes(value).ok_or(PlaceError::Cache)?)?,
-                "direct" => set(&mut direct, "direct", value, ways(value).ok_or(PlaceError::Direct)?)?,
+                "cache" => set(
+                    &mut cache,
+                    "cache",
+                    value,
+                    bytes(value).ok_or(PlaceError::Cache)?,
+                )?,
+                "direct" => set(
+                    &mut direct,
+                    "direct",
+                    value,
+                    ways(value).ok_or(PlaceError::Direct)?,
+                )?,
                 // Whatever stands where a name should be may be anything.
                 _ if plain(name, "-_") && name.len() <= 32 => {
                     return Err(PlaceError::Option(name.to_owned()));
@@ -151,9 +166,18 @@ impl FromStr for BlobPlace {
     }
 }
 
-fn set<T>(slot: &mut Option<T>, name: &'static str, text: &str, value: T) -> Result<(), PlaceError> {
+fn set<T>(
+    slot: &mut Option<T>,
+    name: &'static str,
+    text: &str,
+    value: T,
+) -> Result<(), PlaceError> {
     let is_new = slot.replace(value).is_none();
-    if is_new && !text.is_empty() { Ok(()) } else { Err(PlaceError::Value(name)) }
+    if is_new && !text.is_empty() {
+        Ok(())
+    } else {
+        Err(PlaceError::Value(name))
+    }
 }
 
 fn ways(text: &str) -> Option<Ways> {
@@ -167,7 +191,9 @@ fn ways(text: &str) -> Option<Ways> {
 
 /// A number of bytes with or without a letter behind it.
 fn bytes(text: &str) -> Option<u64> {
-    let split = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let split = text
+        .find(|c: char| !c.is_ascii_digit())
+        .unwrap_or(text.len());
     let (number, letter) = text.split_at(split);
     let shift = match letter {
         "" => 0,
@@ -193,13 +219,19 @@ impl BucketPlace {
     /// When it is not one, or goes over a network without encryption where that is not allowed.
     pub(super) fn check(&self, endpoint: &str) -> Result<(), PlaceError> {
         let uri: sightline_http::Uri = endpoint.parse().map_err(|_| PlaceError::Endpoint)?;
-        let authority = uri.authority().filter(|a| !a.as_str().contains('@')).ok_or(PlaceError::Endpoint)?;
+        let authority = uri
+            .authority()
+            .filter(|a| !a.as_str().contains('@'))
+            .ok_or(PlaceError::Endpoint)?;
         if !matches!(uri.path(), "" | "/") || uri.query().is_some() {
             return Err(PlaceError::Endpoint);
         }
         let host = authority.host();
         let is_here = host == "localhost"
-            || host.trim_matches(['[', ']']).parse().is_ok_and(|a: std::net::IpAddr| a.is_loopback());
+            || host
+                .trim_matches(['[', ']'])
+                .parse()
+                .is_ok_and(|a: std::net::IpAddr| a.is_loopback());
         match uri.scheme_str() {
             Some("https") => Ok(()),
             Some("http") if is_here || self.allow_plaintext => Ok(()),
@@ -222,14 +254,23 @@ mod tests {
 
     #[test]
     fn places_are_read() {
-        assert_eq!("dir:/var/blobs".parse(), Ok(BlobPlace::Directory("/var/blobs".into())));
+        assert_eq!(
+            "dir:/var/blobs".parse(),
+            Ok(BlobPlace::Directory("/var/blobs".into()))
+        );
         let plain = bucket("s3://farm-blobs");
-        assert_eq!((plain.name().as_str(), plain.cache), ("s3://farm-blobs", CACHE));
+        assert_eq!(
+            (plain.name().as_str(), plain.cache),
+            ("s3://farm-blobs", CACHE)
+        );
         let full = bucket(
             "s3://farm.blobs/a/b=1/?endpoint=https://s3.example:9000&region=eu-1&ca=/etc/ca.pem&keys=k\
              &cache=20G&direct=https://public.example",
         );
-        assert_eq!(full.direct, Ways::Address("https://public.example".to_owned()));
+        assert_eq!(
+            full.direct,
+            Ways::Address("https://public.example".to_owned())
+        );
         assert_eq!(bucket("s3://farm?direct=yes").direct, Ways::Endpoint);
         assert_eq!(
             (bucket("s3://farm?direct=no").direct, &plain.direct),
@@ -237,8 +278,14 @@ mod tests {
         );
         assert_eq!(full.name(), "s3://farm.blobs/a/b=1");
         assert_eq!(full.endpoint.as_deref(), Some("https://s3.example:9000"));
-        assert_eq!((full.region.as_deref(), full.cache), (Some("eu-1"), 20 << 30));
-        assert_eq!((full.ca, full.keys), (Some("/etc/ca.pem".into()), Some("k".into())));
+        assert_eq!(
+            (full.region.as_deref(), full.cache),
+            (Some("eu-1"), 20 << 30)
+        );
+        assert_eq!(
+            (full.ca, full.keys),
+            (Some("/etc/ca.pem".into()), Some("k".into()))
+        );
         assert_eq!(bucket("s3://farm?cache=0").cache, 0);
     }
 
@@ -258,7 +305,10 @@ mod tests {
             ("s3://farm?cache=much", PlaceError::Cache),
             ("s3://farm?cache=99999999999T", PlaceError::Cache),
             ("s3://farm?direct=maybe", PlaceError::Direct),
-            ("s3://farm?secret_access_key=hush", PlaceError::Option("secret_access_key".to_owned())),
+            (
+                "s3://farm?secret_access_key=hush",
+                PlaceError::Option("secret_access_key".to_owned()),
+            ),
             ("s3://farm?hush+/hush", PlaceError::Option("…".to_owned())),
         ] {
             let found = text.parse::<BlobPlace>().unwrap_err();
@@ -270,12 +320,28 @@ mod tests {
     #[test]
     fn an_address_without_encryption_stays_on_this_machine() {
         let mut place = bucket("s3://farm");
-        for here in ["http://127.0.0.1:9000", "http://[::1]:9000", "http://localhost", "https://s3.example"] {
+        for here in [
+            "http://127.0.0.1:9000",
+            "http://[::1]:9000",
+            "http://localhost",
+            "https://s3.example",
+        ] {
             assert_eq!(place.check(here), Ok(()), "{here}");
         }
-        assert_eq!(place.check("http://10.0.0.7:9000"), Err(PlaceError::Plaintext));
-        assert_eq!(place.check("http://localhost.example"), Err(PlaceError::Plaintext));
-        for wrong in ["s3.example", "ftp://s3.example", "https://a@s3.example", "https://s3.example/bucket"] {
+        assert_eq!(
+            place.check("http://10.0.0.7:9000"),
+            Err(PlaceError::Plaintext)
+        );
+        assert_eq!(
+            place.check("http://localhost.example"),
+            Err(PlaceError::Plaintext)
+        );
+        for wrong in [
+            "s3.example",
+            "ftp://s3.example",
+            "https://a@s3.example",
+            "https://s3.example/bucket",
+        ] {
             assert_eq!(place.check(wrong), Err(PlaceError::Endpoint), "{wrong}");
         }
         place.allow_plaintext = true;

@@ -28,11 +28,16 @@ impl Served {
 
     fn text(&self, endpoint: &str, cache: u64) -> String {
         let keys = self.folder.path().join("keys");
-        format!("s3://farm/blobs/one?endpoint={endpoint}&keys={}&cache={cache}", keys.display())
+        format!(
+            "s3://farm/blobs/one?endpoint={endpoint}&keys={}&cache={cache}",
+            keys.display()
+        )
     }
 
     fn at(&self, text: &str) -> Result<ObjectBlobs, BlobError> {
-        let BlobPlace::Bucket(place) = text.parse().unwrap() else { panic!("{text}") };
+        let BlobPlace::Bucket(place) = text.parse().unwrap() else {
+            panic!("{text}")
+        };
         ObjectBlobs::open(&place, &self.folder.path().join("copies"))
     }
 
@@ -43,7 +48,11 @@ impl Served {
 
     /// The same, with addresses for workers.
     pub(super) fn open_direct(&self, cache: u64, direct: &str) -> ObjectBlobs {
-        self.at(&format!("{}&direct={direct}", self.text(&self.server.endpoint(), cache))).unwrap()
+        self.at(&format!(
+            "{}&direct={direct}",
+            self.text(&self.server.endpoint(), cache)
+        ))
+        .unwrap()
     }
 
     /// Why there are no such addresses.
@@ -67,7 +76,9 @@ fn noise(n: usize) -> Vec<u8> {
 
 fn put(blobs: &ObjectBlobs, bytes: &[u8]) -> Digest {
     let mut writer = blobs.put_stream().unwrap();
-    bytes.chunks(1 << 20).for_each(|piece| writer.append(piece).unwrap());
+    bytes
+        .chunks(1 << 20)
+        .for_each(|piece| writer.append(piece).unwrap());
     writer.finish(None).unwrap()
 }
 
@@ -88,7 +99,12 @@ fn a_large_blob_goes_up_in_parts_and_comes_back() {
     assert_eq!(served.server.open_parts(), 0);
     assert_eq!(served.server.objects("farm", &hex(&digest)).len(), 1);
     // Nothing is left of what was on the way.
-    assert_eq!(std::fs::read_dir(served.folder.path().join("copies/tmp")).unwrap().count(), 0);
+    assert_eq!(
+        std::fs::read_dir(served.folder.path().join("copies/tmp"))
+            .unwrap()
+            .count(),
+        0
+    );
 }
 
 #[test]
@@ -96,10 +112,18 @@ fn a_flipped_byte_is_found_and_written_over() {
     let served = Served::new();
     let blobs = served.open(0);
     let digest = blobs.put(b"walls and floors").unwrap();
-    let [object] = &served.server.objects("farm", &hex(&digest))[..] else { panic!("one object") };
+    let [object] = &served.server.objects("farm", &hex(&digest))[..] else {
+        panic!("one object")
+    };
     flip(object, 3);
-    assert!(matches!(blobs.read(&digest), Err(BlobError::Damaged { .. })));
-    assert!(matches!(blobs.open_checked(&digest), Err(BlobError::Damaged { .. })));
+    assert!(matches!(
+        blobs.read(&digest),
+        Err(BlobError::Damaged { .. })
+    ));
+    assert!(matches!(
+        blobs.open_checked(&digest),
+        Err(BlobError::Damaged { .. })
+    ));
     blobs.put(b"walls and floors").unwrap();
     assert_eq!(blobs.read(&digest).unwrap(), b"walls and floors");
 }
@@ -113,7 +137,16 @@ fn copies_are_read_without_the_store_and_again_from_it_when_damaged() {
     assert_eq!(blobs.read(&digest).unwrap(), b"walls");
     served.server.start_again();
     let name = hex(&digest);
-    flip(&served.folder.path().join("copies").join(&name[..2]).join(&name[2..4]).join(&name), 0);
+    flip(
+        &served
+            .folder
+            .path()
+            .join("copies")
+            .join(&name[..2])
+            .join(&name[2..4])
+            .join(&name),
+        0,
+    );
     assert_eq!(blobs.read(&digest).unwrap(), b"walls");
     // Another coordinator has no copy, and sees what is there.
     drop(blobs);
@@ -141,17 +174,26 @@ fn a_store_that_starts_again_is_awaited() {
 /// Passes connections on to a server, and breaks the first ones off after so many bytes of answers.
 fn breaking(to: SocketAddr, breaks: usize, after: u64) -> (SocketAddr, Arc<AtomicUsize>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let (address, broken) = (listener.local_addr().unwrap(), Arc::new(AtomicUsize::new(0)));
+    let (address, broken) = (
+        listener.local_addr().unwrap(),
+        Arc::new(AtomicUsize::new(0)),
+    );
     let count = Arc::clone(&broken);
     thread::spawn(move || {
         for client in listener.incoming().map_while(Result::ok) {
-            let Ok(server) = TcpStream::connect(to) else { return };
+            let Ok(server) = TcpStream::connect(to) else {
+                return;
+            };
             let (mut up, mut down) = (client.try_clone().unwrap(), server.try_clone().unwrap());
             thread::spawn(move || io::copy(&mut up, &mut { server }));
             let count = Arc::clone(&count);
             thread::spawn(move || {
                 let mut client = client;
-                let room = if count.load(Ordering::Relaxed) < breaks { after } else { u64::MAX };
+                let room = if count.load(Ordering::Relaxed) < breaks {
+                    after
+                } else {
+                    u64::MAX
+                };
                 let sent = io::copy(&mut (&mut down).take(room), &mut client);
                 if sent.is_ok_and(|sent| sent == room) {
                     count.fetch_add(1, Ordering::Relaxed);
@@ -171,7 +213,9 @@ fn a_download_that_breaks_off_goes_on_where_it_was() {
     let bytes = noise(8 << 20);
     let digest = put(&served.open(0), &bytes);
     let (address, broken) = breaking(served.server.address(), 2, 3 << 20);
-    let blobs = served.at(&served.text(&format!("http://{address}"), 0)).unwrap();
+    let blobs = served
+        .at(&served.text(&format!("http://{address}"), 0))
+        .unwrap();
     assert!(blobs.read(&digest).unwrap() == bytes);
     assert_eq!(broken.load(Ordering::Relaxed), 2, "it broke off twice");
 }
@@ -187,18 +231,27 @@ fn what_is_wrong_with_a_place_is_said_at_the_start_and_keys_never_are() {
     };
     let text = served.text(&endpoint, 0);
     let e = said(&text.replace("//farm", "//other"));
-    assert!(matches!(&e, BlobError::NoBucket { place } if place.contains("s3://other/blobs/one")), "{e}");
+    assert!(
+        matches!(&e, BlobError::NoBucket { place } if place.contains("s3://other/blobs/one")),
+        "{e}"
+    );
     let e = said(&text.replace(&endpoint, "http://127.0.0.1:9"));
     assert!(matches!(&e, BlobError::Unreachable { .. }), "{e}");
     let e = said(&text.replace(&endpoint, "http://192.0.2.1"));
-    assert!(matches!(&e, BlobError::Unusable { .. }) && e.to_string().contains("not encrypted"), "{e}");
+    assert!(
+        matches!(&e, BlobError::Unusable { .. }) && e.to_string().contains("not encrypted"),
+        "{e}"
+    );
     keys(served.folder.path(), KEY, "another-secret");
     let e = said(&text);
     assert!(matches!(&e, BlobError::Refused { .. }), "{e}");
     assert!(!format!("{e} {e:?}").contains("another-secret"), "{e}");
     std::fs::remove_file(served.folder.path().join("keys")).unwrap();
     let e = said(&text);
-    assert!(matches!(&e, BlobError::Unusable { .. }) && e.to_string().contains("keys"), "{e}");
+    assert!(
+        matches!(&e, BlobError::Unusable { .. }) && e.to_string().contains("keys"),
+        "{e}"
+    );
 }
 
 #[test]
@@ -208,7 +261,17 @@ fn an_upload_that_fails_leaves_no_parts() {
     let key = object_store::path::Path::from("blobs/one/short");
     // The file ends before it should.
     let mut file: &[u8] = &noise(20 << 20);
-    let e = blobs.0.bucket.put_file(&key, &mut file, 40 << 20).unwrap_err();
+    let e = blobs
+        .0
+        .bucket
+        .put_file(&key, &mut file, 40 << 20)
+        .unwrap_err();
     assert!(matches!(e, BlobError::Io { .. }), "{e}");
-    assert_eq!((served.server.open_parts(), blobs.0.bucket.len(&key).unwrap()), (0, None));
+    assert_eq!(
+        (
+            served.server.open_parts(),
+            blobs.0.bucket.len(&key).unwrap()
+        ),
+        (0, None)
+    );
 }

@@ -22,18 +22,31 @@ impl Space {
         if self.vectors[ray.index()].exact.is_some() || self.is_line(ray) || !near {
             return;
         }
-        let rows = lines.iter().map(|l| functional(&self.near[l.index()].x)).collect();
-        let Some(chosen) = independent(rows) else { return };
+        let rows = lines
+            .iter()
+            .map(|l| functional(&self.near[l.index()].x))
+            .collect();
+        let Some(chosen) = independent(rows) else {
+            return;
+        };
         let rows = chosen.map(|k| functional(self.exact(lines[k])));
         let mut x = cross(&rows);
         // Let x̂ be the solution, rounded to components of at most 1 and one of at least 1/2, and let the
         // ray's doubles be cx̂ up to an error of 0.05. Then c ≥ 0.45, so c|x̂|² ≥ 0.22|x̂|. The error changes
         // this by at most 0.05·√6|x̂|, which does not change the sign.
-        let along: f64 = rounded(&x).iter().zip(self.rounded(ray)).map(|(a, b)| a * b).sum();
+        let along: f64 = rounded(&x)
+            .iter()
+            .zip(self.rounded(ray))
+            .map(|(a, b)| a * b)
+            .sum();
         if along.is_nan() || along.abs() < 0.1 {
             return;
         }
-        let zeros = x.iter().filter_map(|c| c.trailing_zeros()).min().unwrap_or(0);
+        let zeros = x
+            .iter()
+            .filter_map(|c| c.trailing_zeros())
+            .min()
+            .unwrap_or(0);
         for c in &mut x {
             let short: IBig = std::mem::take(c) >> zeros;
             *c = if along < 0.0 { -short } else { short };
@@ -56,13 +69,17 @@ impl Space {
     pub fn dual_simplex(&mut self, lines: [(VectorId, Ordering); 6]) -> Vec<(VectorId, Tight)> {
         let exact = lines.map(|(line, _)| self.exact(line).clone());
         let rays = (0..6).map(|i| {
-            let x = cross(&std::array::from_fn(|k| functional(&exact[if k < i { k } else { k + 1 }])));
+            let x = cross(&std::array::from_fn(|k| {
+                functional(&exact[if k < i { k } else { k + 1 }])
+            }));
             let side = predicates::sign(&klein_exact(&x, &exact[i]));
             let x = if side == lines[i].1 { x } else { x.map(|c| -c) };
             (x, 0b11_1111 & !(1 << i))
         });
         let rays: Vec<([IBig; 6], Tight)> = rays.collect();
-        rays.into_iter().map(|(x, tight)| (self.fixed(x), tight)).collect()
+        rays.into_iter()
+            .map(|(x, tight)| (self.fixed(x), tight))
+            .collect()
     }
 }
 
@@ -72,10 +89,13 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
     let [a, b, c, d, e] = rows;
     let minor = |x: &[IBig; 6], y: &[IBig; 6], i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
     let pairs = |x: &[IBig; 6], y: &[IBig; 6]| -> [[IBig; 6]; 6] {
-        std::array::from_fn(|i| std::array::from_fn(|j| if i < j { minor(x, y, i, j) } else { IBig::ZERO }))
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| if i < j { minor(x, y, i, j) } else { IBig::ZERO })
+        })
     };
     let (ab, cd) = (pairs(a, b), pairs(c, d));
-    let triple = |i: usize, j: usize, k: usize| &cd[i][j] * &e[k] - &cd[i][k] * &e[j] + &cd[j][k] * &e[i];
+    let triple =
+        |i: usize, j: usize, k: usize| &cd[i][j] * &e[k] - &cd[i][k] * &e[j] + &cd[j][k] * &e[i];
     // Indexed by the set of columns, as bits.
     let mut triples: [IBig; 64] = std::array::from_fn(|_| IBig::ZERO);
     for i in 0..6 {
@@ -93,7 +113,11 @@ fn cross(rows: &[[IBig; 6]; 5]) -> [IBig; 6] {
                 let rest = 63 & !(1 << without) & !(1 << columns[i]) & !(1 << columns[j]);
                 let term = &ab[columns[i]][columns[j]] * &triples[rest];
                 // Laplace, along the first two rows.
-                if (i + j) % 2 == 1 { sum += term } else { sum -= term }
+                if (i + j) % 2 == 1 {
+                    sum += term
+                } else {
+                    sum -= term
+                }
             }
         }
         if without % 2 == 0 { sum } else { -sum }
@@ -105,10 +129,13 @@ impl Space {
     /// The cone of six independent vectors.
     pub fn simplex(&mut self, of: &[[IBig; 6]; 6]) -> (Vec<(VectorId, Tight)>, Vec<VectorId>) {
         let halves = std::array::from_fn::<_, 6, _>(|without| {
-            let others = std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
+            let others =
+                std::array::from_fn(|k| functional(&of[if k < without { k } else { k + 1 }]));
             self.fixed(cross(&others))
         });
-        let rays = (0..6).map(|i| (self.fixed(of[i].clone()), 0b11_1111 & !(1 << i))).collect();
+        let rays = (0..6)
+            .map(|i| (self.fixed(of[i].clone()), 0b11_1111 & !(1 << i)))
+            .collect();
         (rays, halves.into())
     }
 }
@@ -144,7 +171,9 @@ mod tests {
         let mut m = rows.map(|r| r.map(i128::from));
         let (mut rank, mut before) = (0, 1);
         for column in 0..6 {
-            let Some(pivot) = (rank..5).find(|i| m[*i][column] != 0) else { continue };
+            let Some(pivot) = (rank..5).find(|i| m[*i][column] != 0) else {
+                continue;
+            };
             m.swap(rank, pivot);
             for i in rank + 1..5 {
                 for k in (column + 1..6).chain([column]) {

@@ -52,7 +52,11 @@ enum Origin {
     /// Integers, kept with the vector.
     Fixed,
     /// Where the edge between two rays meets a half-space's border: s(a)·b − s(b)·a with s(a) > 0 > s(b).
-    Cut { a: VectorId, b: VectorId, half: VectorId },
+    Cut {
+        a: VectorId,
+        b: VectorId,
+        half: VectorId,
+    },
 }
 
 /// The plane through three points of a space. Its normal points to the side from which the points appear
@@ -153,7 +157,11 @@ pub fn klein(a: &[f64; 6], b: &[f64; 6]) -> f64 {
 /// Σ weight · point / Σ weight, homogeneous.
 pub fn mix(corners: [&[IBig; 4]; 3], weights: &[IBig; 3]) -> [IBig; 4] {
     let [a, b, c] = corners;
-    let factors = [&b[3] * &c[3] * &weights[0], &a[3] * &c[3] * &weights[1], &a[3] * &b[3] * &weights[2]];
+    let factors = [
+        &b[3] * &c[3] * &weights[0],
+        &a[3] * &c[3] * &weights[1],
+        &a[3] * &b[3] * &weights[2],
+    ];
     std::array::from_fn(|k| &a[k] * &factors[0] + &b[k] * &factors[1] + &c[k] * &factors[2])
 }
 
@@ -206,11 +214,21 @@ impl Space {
     /// Adds Σ weight · point / Σ weight, the weights positive and `shares` their shares in the sum, rounded.
     pub fn mixed(&mut self, of: [u32; 3], weights: [IBig; 3], shares: [f64; 3]) -> u32 {
         let [a, b, c] = of.map(|i| &self.points[i as usize]);
-        let size = [a, b, c].iter().flat_map(|p| p.at).fold(0.0f64, |m, x| m.max(x.abs()));
-        let at = std::array::from_fn(|k| shares[0] * a.at[k] + shares[1] * b.at[k] + shares[2] * c.at[k]);
+        let size = [a, b, c]
+            .iter()
+            .flat_map(|p| p.at)
+            .fold(0.0f64, |m, x| m.max(x.abs()));
+        let at = std::array::from_fn(|k| {
+            shares[0] * a.at[k] + shares[1] * b.at[k] + shares[2] * c.at[k]
+        });
         let error = a.error.max(b.error).max(c.error) + 16.0 * U * size;
         let fine = (at.map(|c| DoubleDouble(c, 0.0)), error);
-        self.point(Point { at, error, fine, place: Place::Mix(of, Box::new(weights)) })
+        self.point(Point {
+            at,
+            error,
+            fine,
+            place: Place::Mix(of, Box::new(weights)),
+        })
     }
 
     /// A point, rounded.
@@ -266,9 +284,14 @@ impl Space {
         let c = |i: usize| l.times(n[i]).minus(k.times(m[i]));
         let direction = 2.0 * (sn * g + sm * e + e * g) + 8.0 * STEP * sn * sm;
         let (ak, al) = (k.0.abs(), l.0.abs());
-        let moment = al * e + sn * h + e * h + ak * g + sm * f + f * g + 4.0 * STEP * (al * sn + ak * sm);
+        let moment =
+            al * e + sn * h + e * h + ak * g + sm * f + f * g + 4.0 * STEP * (al * sn + ak * sm);
         let line = [d(1, 2), d(2, 0), d(0, 1), c(0), c(1), c(2)];
-        self.push(line, 1.01 * direction.max(moment), Origin::Meet(Box::new([a, b])))
+        self.push(
+            line,
+            1.01 * direction.max(moment),
+            Origin::Meet(Box::new([a, b])),
+        )
     }
 
     /// A plane (n, k), n·x = k, and how far the components of n, and k, may be off.
@@ -277,7 +300,11 @@ impl Space {
         let size = |v: [DoubleDouble; 3]| v.iter().fold(0.0f64, |m, c| m.max(c.0.abs()));
         let apart = |p: &Point| -> ([DoubleDouble; 3], f64, f64) {
             let d = std::array::from_fn(|i| p.fine.0[i].minus(a.fine.0[i]));
-            (d, size(d), p.fine.1 + a.fine.1 + 2.0 * STEP * (size(p.fine.0) + size(a.fine.0)))
+            (
+                d,
+                size(d),
+                p.fine.1 + a.fine.1 + 2.0 * STEP * (size(p.fine.0) + size(a.fine.0)),
+            )
         };
         let ((x, sx, ex), (y, sy, ey)) = (apart(b), apart(c));
         let n = |i: usize, j: usize| x[i].times(y[j]).minus(x[j].times(y[i]));
@@ -287,7 +314,10 @@ impl Space {
         }
         let en = 2.0 * (sx * ey + sy * ex + ex * ey) + 8.0 * STEP * sx * sy;
         let p = a.fine.0;
-        let k = n[0].times(p[0]).plus(n[1].times(p[1])).plus(n[2].times(p[2]));
+        let k = n[0]
+            .times(p[0])
+            .plus(n[1].times(p[1]))
+            .plus(n[2].times(p[2]));
         let (sn, sp) = (size(n), size(p));
         let ek = 3.0 * (sp * en + sn * a.fine.1 + en * a.fine.1) + 16.0 * STEP * sn * sp;
         (n, k, 1.01 * en, 1.01 * ek)
@@ -309,7 +339,11 @@ impl Space {
 
     /// The vector with exactly these components.
     pub fn given(&mut self, x: [f64; 6]) -> VectorId {
-        self.push(x.map(|c| DoubleDouble(c, 0.0)), 0.0, Origin::Given(Box::new(x)))
+        self.push(
+            x.map(|c| DoubleDouble(c, 0.0)),
+            0.0,
+            Origin::Given(Box::new(x)),
+        )
     }
 
     /// The sign of the Klein form of two vectors.
@@ -329,8 +363,13 @@ impl Space {
         }
         self.sharpen(a);
         self.sharpen(b);
-        let (x, y) = (&self.vectors[a.index()].exact, &self.vectors[b.index()].exact);
-        let (Some(x), Some(y)) = (x, y) else { unreachable!("both were just computed") };
+        let (x, y) = (
+            &self.vectors[a.index()].exact,
+            &self.vectors[b.index()].exact,
+        );
+        let (Some(x), Some(y)) = (x, y) else {
+            unreachable!("both were just computed")
+        };
         let value = klein_exact(x, y);
         self.decisions.exact += 1;
         let sign = crate::geometry::predicates::sign(&value);
@@ -363,7 +402,10 @@ impl Space {
                 _ => [None; 3],
             };
             {
-                let missing = parts.into_iter().flatten().filter(|i| self.vectors[i.index()].exact.is_none());
+                let missing = parts
+                    .into_iter()
+                    .flatten()
+                    .filter(|i| self.vectors[i.index()].exact.is_none());
                 let before = open.len();
                 open.extend(missing);
                 if open.len() > before {
@@ -438,7 +480,9 @@ impl Space {
     pub fn same_line(&mut self, a: VectorId, b: VectorId) -> Option<bool> {
         let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
         // Compared after scaling by the component that is greatest in the first.
-        let k = (0..6).max_by(|i, j| v.x[*i].abs().total_cmp(&v.x[*j].abs())).unwrap_or(0);
+        let k = (0..6)
+            .max_by(|i, j| v.x[*i].abs().total_cmp(&v.x[*j].abs()))
+            .unwrap_or(0);
         let (p, q) = (v.x[k], w.x[k]);
         let slack = 16.0 * (v.error + w.error + U);
         let apart = |i: usize| (v.x[i] * q - w.x[i] * p).abs() > slack;
@@ -467,14 +511,17 @@ impl Space {
 
     /// The orientation of four points, computed in world space: the frame keeps orientations.
     fn orient_world(&self, p: [u32; 4]) -> Option<Ordering> {
-        self.world(p).and_then(crate::geometry::predicates::orient_small)
+        self.world(p)
+            .and_then(crate::geometry::predicates::orient_small)
     }
 
     /// World positions of points, if all were given in doubles.
     fn world<const N: usize>(&self, of: [u32; N]) -> Option<[DVec3; N]> {
         let mut at = [DVec3::ZERO; N];
         for (at, p) in at.iter_mut().zip(of) {
-            let Place::World(Source::Given(x)) = &self.points[p as usize].place else { return None };
+            let Place::World(Source::Given(x)) = &self.points[p as usize].place else {
+                return None;
+            };
             *at = *x;
         }
         Some(at)

@@ -29,8 +29,19 @@ impl Space {
             (self.meeting.len() - 1) as u32
         });
         let id = VectorId(self.vectors.len() as u32);
-        self.near.push(Near { x: [0.0; 6], error: 0.0, sum: 0.0 });
-        self.vectors.push(Vector { rest: [0.0; 6], fine: 0.0, refined: true, origin, exact: None, line });
+        self.near.push(Near {
+            x: [0.0; 6],
+            error: 0.0,
+            sum: 0.0,
+        });
+        self.vectors.push(Vector {
+            rest: [0.0; 6],
+            fine: 0.0,
+            refined: true,
+            origin,
+            exact: None,
+            line,
+        });
         self.set(id, x, fine);
         id
     }
@@ -41,7 +52,11 @@ impl Space {
         let rest = x.map(|c| c.1 * scale);
         let fine = fine * scale;
         let error = (fine + rest.iter().fold(0.0f64, |m, c| m.max(c.abs()))) * (1.0 + 4.0 * U);
-        self.near[v.index()] = Near { x: high, error, sum: high.iter().map(|c| c.abs()).sum() };
+        self.near[v.index()] = Near {
+            x: high,
+            error,
+            sum: high.iter().map(|c| c.abs()).sum(),
+        };
         let vector = &mut self.vectors[v.index()];
         (vector.rest, vector.fine, vector.refined) = (rest, fine, true);
     }
@@ -77,8 +92,8 @@ impl Space {
     #[inline]
     fn form(&self, a: VectorId, b: VectorId) -> (f64, f64) {
         let (v, w) = (&self.near[a.index()], &self.near[b.index()]);
-        let bound =
-            8.0 * U * v.sum.min(w.sum) + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
+        let bound = 8.0 * U * v.sum.min(w.sum)
+            + 1.01 * (v.error * w.sum + w.error * v.sum + 6.0 * v.error * w.error);
         (klein(&v.x, &w.x), bound)
     }
 
@@ -87,23 +102,33 @@ impl Space {
     fn fine_form(&self, a: VectorId, b: VectorId) -> (DoubleDouble, f64) {
         let (x, y) = (self.fine(a), self.fine(b));
         let term = |i: usize, j: usize| x[i].times(y[j]);
-        let value =
-            term(0, 3).plus(term(1, 4)).plus(term(2, 5)).plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
+        let value = term(0, 3)
+            .plus(term(1, 4))
+            .plus(term(2, 5))
+            .plus(term(3, 0).plus(term(4, 1)).plus(term(5, 2)));
         let (v, w) = (self.near[a.index()].sum, self.near[b.index()].sum);
         let (e, f) = (self.vectors[a.index()].fine, self.vectors[b.index()].fine);
-        (value, 16.0 * STEP * v.min(w) + 1.01 * (e * w + f * v + 6.0 * e * f))
+        (
+            value,
+            16.0 * STEP * v.min(w) + 1.01 * (e * w + f * v + 6.0 * e * f),
+        )
     }
 
     /// The sign, where doubles can tell.
     #[inline]
     pub fn filtered_side(&self, a: VectorId, b: VectorId) -> Option<Ordering> {
         let (value, bound) = self.form(a, b);
-        (value.abs() > bound).then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
+        (value.abs() > bound).then_some(if value > 0.0 {
+            Ordering::Greater
+        } else {
+            Ordering::Less
+        })
     }
 
     /// The sign where doubles could not tell: by double-doubles, then by integers.
     pub fn unfiltered_side(&mut self, a: VectorId, b: VectorId) -> Ordering {
-        self.refined_side(a, b).unwrap_or_else(|| self.exact_side(a, b))
+        self.refined_side(a, b)
+            .unwrap_or_else(|| self.exact_side(a, b))
     }
 
     /// The sign, where double-doubles can tell.
@@ -113,7 +138,11 @@ impl Space {
         let (value, bound) = self.fine_form(a, b);
         let sure = value.0.abs() > bound;
         self.decisions.refined += u64::from(sure);
-        sure.then_some(if value.0 > 0.0 { Ordering::Greater } else { Ordering::Less })
+        sure.then_some(if value.0 > 0.0 {
+            Ordering::Greater
+        } else {
+            Ordering::Less
+        })
     }
 
     /// The ray where the edge between `a` and `b`, on different sides of `half`, meets its border.
@@ -144,12 +173,20 @@ impl Space {
         }
         let bound = es.max(et);
         let room = total - 2.0 * bound;
-        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
+        let off = if room > bound {
+            1.01 * bound / room
+        } else {
+            1.0
+        };
         let error = v.error.max(w.error) + off.min(1.0) * (apart + v.error + w.error) + 16.0 * U;
         let id = VectorId(self.vectors.len() as u32);
         let (x, scale) = normalised(x);
         let error = error * scale;
-        self.near.push(Near { x, error, sum: x.iter().map(|c| c.abs()).sum() });
+        self.near.push(Near {
+            x,
+            error,
+            sum: x.iter().map(|c| c.abs()).sum(),
+        });
         self.vectors.push(Vector {
             rest: [0.0; 6],
             fine: f64::INFINITY,
@@ -165,7 +202,11 @@ impl Space {
                 Some(Solved::Doubles(x, error)) => {
                     let (x, scale) = normalised(x);
                     let sum = x.iter().map(|c| c.abs()).sum();
-                    self.near[id.index()] = Near { x, error: error * scale, sum };
+                    self.near[id.index()] = Near {
+                        x,
+                        error: error * scale,
+                        sum,
+                    };
                 }
                 Some(Solved::Pairs(x, fine)) if fine < COARSE => self.set(id, x, fine),
                 _ => self.refine(id),
@@ -195,15 +236,20 @@ impl Space {
         // Chains of constructions can be long, so there is no recursion.
         let mut open = vec![v];
         while let Some(id) = open.last().copied() {
-            let (false, Origin::Cut { a, b, half }) =
-                (self.vectors[id.index()].refined, &self.vectors[id.index()].origin)
-            else {
+            let (false, Origin::Cut { a, b, half }) = (
+                self.vectors[id.index()].refined,
+                &self.vectors[id.index()].origin,
+            ) else {
                 open.pop();
                 continue;
             };
             let parts = [*a, *b, *half];
             let before = open.len();
-            open.extend(parts.into_iter().filter(|p| !self.vectors[p.index()].refined));
+            open.extend(
+                parts
+                    .into_iter()
+                    .filter(|p| !self.vectors[p.index()].refined),
+            );
             if open.len() == before {
                 self.refine_cut(id, parts);
                 open.pop();
@@ -227,8 +273,16 @@ impl Space {
         });
         let bound = es.max(et);
         let room = total.0 - 2.0 * bound;
-        let off = if room > bound { 1.01 * bound / room } else { 1.0 };
-        self.set(id, x, e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP);
+        let off = if room > bound {
+            1.01 * bound / room
+        } else {
+            1.0
+        };
+        self.set(
+            id,
+            x,
+            e.max(f) + off.min(1.0) * (apart + e + f) + 16.0 * STEP,
+        );
         let good = room > 0.0 && self.vectors[id.index()].fine < COARSE;
         if !good {
             // A ray that is mostly error is of no use to filters or to the search for lines.

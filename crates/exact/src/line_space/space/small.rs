@@ -12,17 +12,28 @@ use sightline_scene::exact::{differences, small_integers};
 /// vectors are.
 pub fn dependent([a, b, c]: [[DVec3; 2]; 3]) -> Option<bool> {
     let [d, b0, b1, c0, c1] = small_integers(differences(a[0], [a[1], b[0], b[1], c[0], c[1]])?)?;
-    let Some(k) = (0..3).find(|k| d[*k] != 0) else { return Some(true) };
+    let Some(k) = (0..3).find(|k| d[*k] != 0) else {
+        return Some(true);
+    };
     let d = d.map(i128::from);
     let without = |p: [i64; 3], q: [i64; 3]| -> [i128; 6] {
         let (p, q) = (p.map(i128::from), q.map(i128::from));
         let moment = |i: usize, j: usize| p[i] * q[j] - p[j] * q[i];
         let along = q[k] - p[k];
         let [x, y, z] = [0, 1, 2].map(|i| d[k] * (q[i] - p[i]) - along * d[i]);
-        [x, y, z, d[k] * moment(1, 2), d[k] * moment(2, 0), d[k] * moment(0, 1)]
+        [
+            x,
+            y,
+            z,
+            d[k] * moment(1, 2),
+            d[k] * moment(2, 0),
+            d[k] * moment(0, 1),
+        ]
     };
     let (x, y) = (without(b0, b1), without(c0, c1));
-    let Some(i) = (0..6).find(|i| x[*i] != 0) else { return Some(true) };
+    let Some(i) = (0..6).find(|i| x[*i] != 0) else {
+        return Some(true);
+    };
     Some((0..6).all(|j| product(x[i], y[j]) == product(x[j], y[i])))
 }
 
@@ -50,7 +61,11 @@ mod tests {
     fn line([p, q]: [DVec3; 2]) -> [IBig; 6] {
         let at = |x: f64| {
             let ([n], e) = integers([x]);
-            if n == IBig::ZERO { n } else { n << (e + 200) as usize }
+            if n == IBig::ZERO {
+                n
+            } else {
+                n << (e + 200) as usize
+            }
         };
         let (p, q) = (p.to_array().map(at), q.to_array().map(at));
         let moment = |i: usize, j: usize| &p[i] * &q[j] - &p[j] * &q[i];
@@ -63,7 +78,9 @@ mod tests {
         let [x, y, z] = of.map(line);
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
         let mut all = (0..6).flat_map(|i| (0..6).flat_map(move |j| (0..6).map(move |k| (i, j, k))));
-        all.all(|(i, j, k)| (minor(i, j) * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero())
+        all.all(|(i, j, k)| {
+            (minor(i, j) * &z[k] - minor(i, k) * &z[j] + minor(j, k) * &z[i]).is_zero()
+        })
     }
 
     proptest! {

@@ -26,7 +26,13 @@ impl Space {
     /// and the ray unique (Krawczyk 1969). x̃ is improved by −Nr first.
     ///
     /// Double-doubles take longer. They are used only if `best`, or where doubles are too coarse.
-    pub(super) fn solved(&self, x: [f64; 6], error: f64, lines: &[VectorId], best: bool) -> Option<Solved> {
+    pub(super) fn solved(
+        &self,
+        x: [f64; 6],
+        error: f64,
+        lines: &[VectorId],
+        best: bool,
+    ) -> Option<Solved> {
         if !(0.0..MOST_ERROR).contains(&error) {
             return None;
         }
@@ -71,8 +77,13 @@ impl Space {
         // and has not changed sign.
         let same = |c: f64, x: f64| (c - x).abs() < 0.2;
         let bound = |r: [f64; 5]| {
-            let most = n.iter().map(|row| row.iter().zip(r).map(|(c, r)| c.abs() * r).sum::<f64>());
-            1.01 * most.fold(0.0f64, |m, sum| if sum > m || sum.is_nan() { sum } else { m }) / (1.0 - tau)
+            let most = n
+                .iter()
+                .map(|row| row.iter().zip(r).map(|(c, r)| c.abs() * r).sum::<f64>());
+            1.01 * most.fold(
+                0.0f64,
+                |m, sum| if sum > m || sum.is_nan() { sum } else { m },
+            ) / (1.0 - tau)
         };
         // Loops rather than closures that build arrays, which become calls: hard scenes spend most of their
         // time here.
@@ -164,7 +175,11 @@ pub(super) fn independent(mut left: Vec<[f64; 6]>) -> Option<[usize; 5]> {
     let mut chosen = [usize::MAX; 5];
     for k in 0..5 {
         let (mut most, mut row, mut column) = (LEAST_PIVOT, usize::MAX, 0);
-        for (i, r) in left.iter().enumerate().filter(|(i, _)| !chosen[..k].contains(i)) {
+        for (i, r) in left
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| !chosen[..k].contains(i))
+        {
             for (j, c) in r.iter().enumerate() {
                 if c.abs() > most {
                     (most, row, column) = (c.abs(), i, j);

@@ -26,15 +26,23 @@ fn point() -> impl Strategy<Value = DVec3> {
 /// component.
 fn off(x: [DoubleDouble; 6], exact: &[IBig; 6]) -> f64 {
     let y = rounded_double_double(exact);
-    let k = (0..6).max_by(|i, j| y[*i].0.abs().total_cmp(&y[*j].0.abs())).unwrap();
+    let k = (0..6)
+        .max_by(|i, j| y[*i].0.abs().total_cmp(&y[*j].0.abs()))
+        .unwrap();
     let scale = x[k].over(y[k]);
     assert!(scale.0 > 0.0, "turned round: {x:?} {y:?}");
-    (0..6).map(|i| x[i].minus(y[i].times(scale)).0.abs()).fold(0.0, f64::max)
+    (0..6)
+        .map(|i| x[i].minus(y[i].times(scale)).0.abs())
+        .fold(0.0, f64::max)
 }
 
 /// Regions between two triangles cut by lines through points and points next to them, which meet at all
 /// angles, small ones among them.
-fn regions(a: [DVec3; 3], b: [DVec3; 3], cuts: &[(DVec3, DVec3, f64)]) -> Option<(Space, Vec<Region>)> {
+fn regions(
+    a: [DVec3; 3],
+    b: [DVec3; 3],
+    cuts: &[(DVec3, DVec3, f64)],
+) -> Option<(Space, Vec<Region>)> {
     let (a, b) = (Polygon::triangle(a)?, Polygon::triangle(b)?);
     let [x, y] = parts(&a, &b).into_iter().next()?;
     let mut space = Space::new(Frame::around(&x.0.rounded(), &y.0.rounded()));
@@ -51,8 +59,8 @@ fn regions(a: [DVec3; 3], b: [DVec3; 3], cuts: &[(DVec3, DVec3, f64)]) -> Option
             let mut next = Vec::new();
             for region in regions {
                 region.sides(&mut space, line, &mut sides);
-                let both =
-                    [std::cmp::Ordering::Less, std::cmp::Ordering::Greater].map(|s| sides.contains(&s));
+                let both = [std::cmp::Ordering::Less, std::cmp::Ordering::Greater]
+                    .map(|s| sides.contains(&s));
                 if both == [true, true] {
                     next.extend(region.split(&mut space, line, &sides).ok()?);
                 } else {
@@ -154,7 +162,11 @@ fn forms_that_are_0_for_a_reason_are_0() {
         let b = if round % 2 == 0 {
             a.map(|p| p + 2.0 * DVec3::Z)
         } else {
-            [DVec3::new(2.0, -1.0, 0.0), DVec3::new(3.0, -1.0, 0.0), DVec3::new(2.0, 0.0, 2.0)]
+            [
+                DVec3::new(2.0, -1.0, 0.0),
+                DVec3::new(3.0, -1.0, 0.0),
+                DVec3::new(2.0, 0.0, 2.0),
+            ]
         };
         let middle = (a[0] + a[1] + a[2] + b[0] + b[1] + b[2]) / 6.0;
         let mut at: Vec<DVec3> = (0..5)
@@ -166,18 +178,24 @@ fn forms_that_are_0_for_a_reason_are_0() {
             .filter(|(p, q)| at[*p] != at[*q])
             .map(|(p, q)| (at[p], at[q], 0.0))
             .collect();
-        let Some((mut space, regions)) = regions(a, b, &cuts) else { continue };
+        let Some((mut space, regions)) = regions(a, b, &cuts) else {
+            continue;
+        };
         for region in &regions {
-            let on: Vec<Vec<VectorId>> =
-                region.rays.iter().map(|(_, t)| region.tight(*t).collect()).collect();
+            let on: Vec<Vec<VectorId>> = region
+                .rays
+                .iter()
+                .map(|(_, t)| region.tight(*t).collect())
+                .collect();
             for (i, (a, _)) in region.rays.iter().enumerate() {
-                let mut check = |side: Ordering, space: &mut Space, b: VectorId, kind: usize, before: u64| {
-                    let [x, y] = [*a, b].map(|x| space.exact(x).clone());
-                    assert_eq!(side, sign(&klein_exact(&x, &y)), "round {round}");
-                    zeros[kind] += u32::from(side == Ordering::Equal);
-                    let seen = space.decisions.spanned > before;
-                    unexplained[kind] += u32::from(side == Ordering::Equal && !seen);
-                };
+                let mut check =
+                    |side: Ordering, space: &mut Space, b: VectorId, kind: usize, before: u64| {
+                        let [x, y] = [*a, b].map(|x| space.exact(x).clone());
+                        assert_eq!(side, sign(&klein_exact(&x, &y)), "round {round}");
+                        zeros[kind] += u32::from(side == Ordering::Equal);
+                        let seen = space.decisions.spanned > before;
+                        unexplained[kind] += u32::from(side == Ordering::Equal && !seen);
+                    };
                 for (j, (b, _)) in region.rays.iter().enumerate().skip(i) {
                     let before = space.decisions.spanned;
                     let side = space.rays_side((*a, &on[i]), (*b, &on[j]));
@@ -192,5 +210,8 @@ fn forms_that_are_0_for_a_reason_are_0() {
         }
     }
     // Most have one: without either rule more than a tenth has none.
-    assert!((0..2).all(|k| unexplained[k] * 10 < zeros[k]), "{unexplained:?} of {zeros:?}");
+    assert!(
+        (0..2).all(|k| unexplained[k] * 10 < zeros[k]),
+        "{unexplained:?} of {zeros:?}"
+    );
 }

@@ -32,7 +32,11 @@ impl Space {
 
     /// The sign of a form that no rule shows to be 0. `rays` holds the vectors that are rays, with lines they
     /// are on.
-    fn unexplained_side(&mut self, [a, b]: [VectorId; 2], rays: &[(VectorId, &[VectorId])]) -> Ordering {
+    fn unexplained_side(
+        &mut self,
+        [a, b]: [VectorId; 2],
+        rays: &[(VectorId, &[VectorId])],
+    ) -> Ordering {
         // In double-doubles from the lines a ray is on: along its chain of cuts, double-doubles would cost as
         // much as integers.
         for (ray, on) in rays {
@@ -70,7 +74,10 @@ impl Space {
         for (k, a) in met.iter().enumerate() {
             for b in &met[k + 1..] {
                 // An edge of A and an edge of B can be the same line, and then span that line only.
-                if self.meets(*a, *b) && self.same_line(*a, *b).is_none() && self.pencil(line, *a, *b) {
+                if self.meets(*a, *b)
+                    && self.same_line(*a, *b).is_none()
+                    && self.pencil(line, *a, *b)
+                {
                     return true;
                 }
             }
@@ -85,7 +92,8 @@ impl Space {
 
     /// Whether two vectors are lines that meet (or are the same).
     fn meets(&mut self, a: VectorId, b: VectorId) -> bool {
-        let (Some(r), Some(s)) = (self.vectors[a.index()].line, self.vectors[b.index()].line) else {
+        let (Some(r), Some(s)) = (self.vectors[a.index()].line, self.vectors[b.index()].line)
+        else {
             return false;
         };
         let (row, column) = (r.max(s) as usize, r.min(s) as usize);
@@ -107,7 +115,11 @@ impl Space {
             self.asked += column + 1 - known.len();
             known.resize(column + 1, Meeting::NotAsked);
         }
-        known[column] = if meets { Meeting::Meets } else { Meeting::Apart };
+        known[column] = if meets {
+            Meeting::Meets
+        } else {
+            Meeting::Apart
+        };
         meets
     }
 
@@ -123,7 +135,8 @@ impl Space {
         let [x, y] = [a, b].map(|l| self.vectors[l.index()].origin.clone());
         match (x, y) {
             (Origin::Join(p, q), Origin::Join(r, s)) => self.flat([p, q, r, s]),
-            (Origin::Join(p, q), Origin::Meet(planes)) | (Origin::Meet(planes), Origin::Join(p, q)) => {
+            (Origin::Join(p, q), Origin::Meet(planes))
+            | (Origin::Meet(planes), Origin::Join(p, q)) => {
                 planes.iter().any(|through| {
                     let [r, s, t] = through.points;
                     self.flat([r, s, t, p]) && self.flat([r, s, t, q])
@@ -149,7 +162,11 @@ impl Space {
         (a, s): (VectorId, &[VectorId]),
         (b, t): (VectorId, &[VectorId]),
     ) -> Ordering {
-        let common: Vec<VectorId> = s.iter().copied().filter(|l| self.is_line(*l) && t.contains(l)).collect();
+        let common: Vec<VectorId> = s
+            .iter()
+            .copied()
+            .filter(|l| self.is_line(*l) && t.contains(l))
+            .collect();
         if self.triple(&common) || self.combines(s, t) || (a != b && self.combines(t, s)) {
             self.decisions.spanned += 1;
             return Ordering::Equal;
@@ -183,8 +200,16 @@ impl Space {
         // For each line, the ray's lines that it does not meet, as bits; a vector that is no real line meets
         // none.
         let mut missed: Vec<(VectorId, Tight)> = Vec::with_capacity(lines.len());
-        for l in lines.iter().filter(|l| self.is_line(**l)).copied().collect::<Vec<_>>() {
-            let miss = ray.iter().enumerate().fold(0, |m, (k, r)| m | Tight::from(!self.meets(l, *r)) << k);
+        for l in lines
+            .iter()
+            .filter(|l| self.is_line(**l))
+            .copied()
+            .collect::<Vec<_>>()
+        {
+            let miss = ray
+                .iter()
+                .enumerate()
+                .fold(0, |m, (k, r)| m | Tight::from(!self.meets(l, *r)) << k);
             if miss == 0 {
                 return true;
             }
@@ -206,7 +231,9 @@ impl Space {
     fn joins(&self, of: [VectorId; 3]) -> Option<[[DVec3; 2]; 3]> {
         let mut ends = [[DVec3::ZERO; 2]; 3];
         for (ends, l) in ends.iter_mut().zip(of) {
-            let Origin::Join(p, q) = self.vectors[l.index()].origin else { return None };
+            let Origin::Join(p, q) = self.vectors[l.index()].origin else {
+                return None;
+            };
             *ends = self.world([p, q])?;
         }
         Some(ends)
@@ -236,7 +263,8 @@ impl Space {
         let (m, i, j) = pivot;
         let minor = |a: &[f64; 6], b: &[f64; 6], i: usize, j: usize| a[i] * b[j] - a[j] * b[i];
         (0..6).any(|k| {
-            let det = m * z.x[k] - minor(&x.x, &y.x, i, k) * z.x[j] + minor(&x.x, &y.x, j, k) * z.x[i];
+            let det =
+                m * z.x[k] - minor(&x.x, &y.x, i, k) * z.x[j] + minor(&x.x, &y.x, j, k) * z.x[i];
             det.abs() > bound
         })
     }
@@ -261,8 +289,9 @@ impl Space {
         }
         let [x, y, z] = key.map(|l| self.exact(l).clone());
         let minor = |i: usize, j: usize| &x[i] * &y[j] - &x[j] * &y[i];
-        let pivot =
-            (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))).find(|(i, j)| !minor(*i, *j).is_zero());
+        let pivot = (0..6)
+            .flat_map(|i| (i + 1..6).map(move |j| (i, j)))
+            .find(|(i, j)| !minor(*i, *j).is_zero());
         // Two equal lines also count as dependent; callers exclude this case where it matters.
         let dependent = pivot.is_none_or(|(i, j)| {
             let d = minor(i, j);

@@ -29,10 +29,19 @@ struct Table<'a> {
 
 impl GpuRounds<'_> {
     /// The new words of a table, of which there are `new`.
-    fn new_words(&self, lent: &Lent, table: &Table<'_>, new: u32) -> Result<Vec<(u32, u64)>, BackendError> {
+    fn new_words(
+        &self,
+        lent: &Lent,
+        table: &Table<'_>,
+        new: u32,
+    ) -> Result<Vec<(u32, u64)>, BackendError> {
         let mut words = Vec::with_capacity(new as usize);
         let mut keep = |count: u32| -> Result<(), BackendError> {
-            let numbers = self.read(self.encoder(), lent, &[(table.list, 0, 12 * u64::from(count))])?;
+            let numbers = self.read(
+                self.encoder(),
+                lent,
+                &[(table.list, 0, 12 * u64::from(count))],
+            )?;
             let some = numbers.chunks_exact(3);
             words.extend(some.map(|w| (w[0], u64::from(w[1]) | u64::from(w[2]) << 32)));
             Ok(())
@@ -47,12 +56,23 @@ impl GpuRounds<'_> {
         // More than the list holds: by ranges of places that cannot be more.
         for first in (0..table.places).step_by(fit as usize) {
             let count = fit.min(table.places - first);
-            let offset = self.part(lent, &Part { count, first, ..Part::default() });
+            let offset = self.part(
+                lent,
+                &Part {
+                    count,
+                    first,
+                    ..Part::default()
+                },
+            );
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * table.counter as u64, Some(4));
             self.run(&mut encoder, lent, offset, &[table.kernel]);
             let counter = (&lent.counters, 4 * table.counter as u64, 4);
-            if let Some(new) = self.read(encoder, lent, &[counter])?.first().filter(|new| **new > 0) {
+            if let Some(new) = self
+                .read(encoder, lent, &[counter])?
+                .first()
+                .filter(|new| **new > 0)
+            {
                 keep(*new)?;
             }
         }
@@ -62,9 +82,22 @@ impl GpuRounds<'_> {
     /// The tables whose new words go to the host: that of triangles, and that of pairs where there is one.
     fn tables<'b>(&self, lent: &'b Lent) -> [Table<'b>; 2] {
         let (kernel, counter, list) = (Kernel::GatherWords, WORDS, &lent.words);
-        let seen = Table { kernel, counter, list, places: self.tables.places };
+        let seen = Table {
+            kernel,
+            counter,
+            list,
+            places: self.tables.places,
+        };
         let (kernel, counter, list) = (Kernel::GatherPairs, PAIR_WORDS, &lent.pair_words);
-        [seen, Table { kernel, counter, list, places: self.tables.pair_places }]
+        [
+            seen,
+            Table {
+                kernel,
+                counter,
+                list,
+                places: self.tables.pair_places,
+            },
+        ]
     }
 
     /// Makes the tables with all credits those of the last barrier.
@@ -85,10 +118,19 @@ impl GpuRounds<'_> {
     ) -> Result<Found, BackendError> {
         let tables = self.tables(lent);
         for table in tables.iter().filter(|t| t.places > 0) {
-            let offset = self.part(lent, &Part { count: table.places, ..Part::default() });
+            let offset = self.part(
+                lent,
+                &Part {
+                    count: table.places,
+                    ..Part::default()
+                },
+            );
             self.run(&mut encoder, lent, offset, &[table.kernel]);
         }
-        let wanted = [(&lent.counters, 0, COUNTER_BYTES), (&lent.stats, 0, 16 * items as u64)];
+        let wanted = [
+            (&lent.counters, 0, COUNTER_BYTES),
+            (&lent.stats, 0, 16 * items as u64),
+        ];
         let numbers = self.read(encoder, lent, &wanted)?;
         if let Some(profile) = &self.profile {
             let mut encoder = self.encoder();
@@ -96,8 +138,12 @@ impl GpuRounds<'_> {
             profile.add(&self.read(encoder, lent, &[(&profile.stamps, 0, bytes)])?);
         }
         let (counters, counts) = numbers.split_at(COUNTER_BYTES as usize / 4);
-        let counts = counts.chunks_exact(4).map(|c| [c[0], c[1], c[2], c[3]]).collect();
-        let [words, pair_words] = tables.map(|table| self.new_words(lent, &table, counters[table.counter]));
+        let counts = counts
+            .chunks_exact(4)
+            .map(|c| [c[0], c[1], c[2], c[3]])
+            .collect();
+        let [words, pair_words] =
+            tables.map(|table| self.new_words(lent, &table, counters[table.counter]));
         let (words, pair_words) = (words?, pair_words?);
         self.publish()?;
         let rays = u64::from(counters[SEED_RAYS]);
@@ -108,7 +154,13 @@ impl GpuRounds<'_> {
             }),
             GAIN_UNIT,
         );
-        Ok(Found { counts, rays, tally, words, pair_words })
+        Ok(Found {
+            counts,
+            rays,
+            tally,
+            words,
+            pair_words,
+        })
     }
 }
 

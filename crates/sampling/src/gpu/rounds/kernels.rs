@@ -100,8 +100,8 @@ impl Kernels {
         scene: &LineScene,
         (halves, one_way): (bool, bool),
     ) -> Result<Self, Fault> {
-        let flags =
-            [("HALVES", halves), ("ONE_WAY", one_way)].map(|(name, is)| (name, f64::from(u8::from(is))));
+        let flags = [("HALVES", halves), ("ONE_WAY", one_way)]
+            .map(|(name, is)| (name, f64::from(u8::from(is))));
         Self::with(device, scene, &[&scene.constants[..], &flags].concat())
     }
 
@@ -115,7 +115,10 @@ impl Kernels {
         let storage = |read_only| buffer(wgpu::BufferBindingType::Storage { read_only }, false);
         let uniform = |dynamic| buffer(wgpu::BufferBindingType::Uniform, dynamic);
         let layout_of = |label, types: &[wgpu::BindingType]| {
-            let entries: Vec<_> = (0..).zip(types).map(|(i, ty)| entry(i, stage, *ty)).collect();
+            let entries: Vec<_> = (0..)
+                .zip(types)
+                .map(|(i, ty)| entry(i, stage, *ty))
+                .collect();
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
                 label: Some(label),
                 entries: &entries,
@@ -124,7 +127,9 @@ impl Kernels {
         scoped_by_kind(device, || {
             let [read, write] = [storage(true), storage(false)];
             let [own, shared] = [uniform(false), uniform(true)];
-            let of_tables = [own, read, write, write, read, read, read, read, read, write, read];
+            let of_tables = [
+                own, read, write, write, read, read, read, read, read, write, read,
+            ];
             let tables = layout_of("tables", &of_tables);
             let mut of_lists = vec![shared, read];
             of_lists.resize(15, write);
@@ -142,21 +147,27 @@ impl Kernels {
             // watches for errors itself.
             let pipelines = ENTRY_POINTS.par_iter().map(|name| {
                 scoped_by_kind(device, || {
-                    Ok(device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                        label: Some(name),
-                        layout: Some(&layout),
-                        module: &module,
-                        entry_point: Some(name),
-                        compilation_options: wgpu::PipelineCompilationOptions {
-                            constants,
-                            ..Default::default()
-                        },
-                        cache: None,
-                    }))
+                    Ok(
+                        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                            label: Some(name),
+                            layout: Some(&layout),
+                            module: &module,
+                            entry_point: Some(name),
+                            compilation_options: wgpu::PipelineCompilationOptions {
+                                constants,
+                                ..Default::default()
+                            },
+                            cache: None,
+                        }),
+                    )
                 })
             });
             let pipelines = pipelines.collect::<Result<_, Fault>>()?;
-            Ok(Self { pipelines, tables_layout: tables, lists_layout: lists })
+            Ok(Self {
+                pipelines,
+                tables_layout: tables,
+                lists_layout: lists,
+            })
         })
     }
 

@@ -135,8 +135,14 @@ impl Facts {
                 [x, y, z, side]
             })
         };
-        let around: Vec<u32> =
-            block.surface.neighbours.iter().flatten().chain(&block.surface.morton).copied().collect();
+        let around: Vec<u32> = block
+            .surface
+            .neighbours
+            .iter()
+            .flatten()
+            .chain(&block.surface.morton)
+            .copied()
+            .collect();
         let storage = wgpu::BufferUsages::STORAGE;
         Ok(Self {
             vertices: filled(device, "vertices", storage, &ids, corners)?,
@@ -208,7 +214,16 @@ impl Tables {
             let slot = c.slot.index() as u32;
             // From a cell without viewpoints only segments are cast, from anywhere.
             let parts = halves(if c.parts == 0 { u64::MAX } else { c.parts });
-            CellRecord { low: c.low, key_low, size: c.size, key_high, at: c.at, slot, parts, unused: [0; 2] }
+            CellRecord {
+                low: c.low,
+                key_low,
+                size: c.size,
+                key_high,
+                at: c.at,
+                slot,
+                parts,
+                unused: [0; 2],
+            }
         };
         let all = |words: &[u64], grid: &CellGrid| match words {
             [] => vec![u64::MAX; grid.words()],
@@ -229,15 +244,24 @@ impl Tables {
             })
         };
         let [seen, now, met] = ["seen", "now", "met"].map(|label| table(label, Self::bytes(block)));
-        let [pairs, joined] = ["pairs", "joined"].map(|label| table(label, Self::pair_bytes(block).max(8)));
+        let [pairs, joined] =
+            ["pairs", "joined"].map(|label| table(label, Self::pair_bytes(block).max(8)));
         let uniform = filled(device, "block", Use::UNIFORM, &[uniform], |u| *u)?;
         let cells = filled(device, "cells", Use::STORAGE, &cells, record)?;
         let reached = filled(device, "reached", Use::STORAGE, &reached, |w| halves(*w))?;
         // A binding needs a buffer.
-        let rows = if block.rows.is_empty() { &[0][..] } else { block.rows };
+        let rows = if block.rows.is_empty() {
+            &[0][..]
+        } else {
+            block.rows
+        };
         let rows = filled(device, "rows", Use::STORAGE, rows, |row| *row)?;
-        let Facts { vertices, around, .. } = facts;
-        let bound = [&uniform, &seen, &now, &met, &cells, &reached, vertices, around, &pairs, &joined, &rows];
+        let Facts {
+            vertices, around, ..
+        } = facts;
+        let bound = [
+            &uniform, &seen, &now, &met, &cells, &reached, vertices, around, &pairs, &joined, &rows,
+        ];
         let bound = bound.map(wgpu::Buffer::as_entire_binding);
         let group = bind(device, "tables", &kernels.tables_layout, &bound);
         let words = grid.words() as u32;
@@ -257,7 +281,10 @@ impl Tables {
 
     /// Bytes of the table of pairs; 0 without pairs.
     pub(super) fn pair_bytes(block: &DeviceBlock<'_>) -> u64 {
-        let words = block.pairs.as_ref().map_or(0, |pairs| pairs.grid.words() as u64);
+        let words = block
+            .pairs
+            .as_ref()
+            .map_or(0, |pairs| pairs.grid.words() as u64);
         64 * words * words * 8
     }
 }
@@ -306,8 +333,16 @@ impl Lists {
             candidates: make("candidates", 3 * n * 16, both),
             words: make("words", 3 * n * 12, both),
             pair_words: make("pair words", 3 * n * 12, both),
-            parts: make("parts", u64::from(PARTS) * PART_STRIDE, Use::UNIFORM | Use::COPY_DST),
-            read_back: make("read-back", 3 * n * 12 + (1 << 20), Use::MAP_READ | Use::COPY_DST),
+            parts: make(
+                "parts",
+                u64::from(PARTS) * PART_STRIDE,
+                Use::UNIFORM | Use::COPY_DST,
+            ),
+            read_back: make(
+                "read-back",
+                3 * n * 12 + (1 << 20),
+                Use::MAP_READ | Use::COPY_DST,
+            ),
         }
     }
 
@@ -368,9 +403,17 @@ impl Lent {
             &lists.pair_words,
             &lists.reaches,
         ];
-        let bound: Vec<_> = std::iter::once(part).chain(all.map(wgpu::Buffer::as_entire_binding)).collect();
+        let bound: Vec<_> = std::iter::once(part)
+            .chain(all.map(wgpu::Buffer::as_entire_binding))
+            .collect();
         let group = bind(device, "lists", &kernels.lists_layout, &bound);
-        Self { lists, items, stats, places, group }
+        Self {
+            lists,
+            items,
+            stats,
+            places,
+            group,
+        }
     }
 }
 
@@ -390,13 +433,21 @@ fn bind(
 ) -> wgpu::BindGroup {
     let entries: Vec<_> = (0..)
         .zip(bound)
-        .map(|(binding, resource)| wgpu::BindGroupEntry { binding, resource: resource.clone() })
+        .map(|(binding, resource)| wgpu::BindGroupEntry {
+            binding,
+            resource: resource.clone(),
+        })
         .collect();
-    device.create_bind_group(&wgpu::BindGroupDescriptor { label: Some(label), layout, entries: &entries })
+    device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some(label),
+        layout,
+        entries: &entries,
+    })
 }
 
 /// The words of a table that have bits: place, low half, high half.
 pub(super) fn filled_words(words: &[u64]) -> Vec<[u32; 3]> {
     let some = words.par_iter().enumerate().filter(|(_, word)| **word != 0);
-    some.map(|(at, word)| [at as u32, *word as u32, (*word >> 32) as u32]).collect()
+    some.map(|(at, word)| [at as u32, *word as u32, (*word >> 32) as u32])
+        .collect()
 }

@@ -85,7 +85,9 @@ struct State {
 /// Why a block cannot be on a device, as a part of a sentence; `None` when it can.
 fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String> {
     let limits = gpu.device.limits();
-    let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let most = limits
+        .max_storage_buffer_binding_size
+        .min(limits.max_buffer_size);
     let largest = Tables::bytes(block)
         .max(Tables::pair_bytes(block))
         .max(Facts::most_bytes(block))
@@ -98,16 +100,22 @@ fn obstacle(gpu: &Gpu, block: &DeviceBlock<'_>, capacity: u32) -> Option<String>
     }
     // Kernels number the triangles times the words of a row.
     if u64::from(block.scene.len()) * block.grid.words() as u64 >= 1 << 31 {
-        return Some(format!("{} triangles are more than it numbers for so many cells", block.scene.len()));
+        return Some(format!(
+            "{} triangles are more than it numbers for so many cells",
+            block.scene.len()
+        ));
     }
-    (largest > most).then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
+    (largest > most)
+        .then(|| format!("{largest} bytes in one buffer are more than the {most} that it binds"))
 }
 
 /// Says why the host makes and credits lines, each reason once a process.
 fn say_once(why: &str) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if lock(&SAID).insert(why.to_owned()) {
-        tracing::warn!("the host makes and credits lines, which takes longer than on the device: {why}");
+        tracing::warn!(
+            "the host makes and credits lines, which takes longer than on the device: {why}"
+        );
     }
 }
 
@@ -125,8 +133,11 @@ impl<'a> GpuRounds<'a> {
     ) -> Result<Option<Self>, BackendError> {
         // All threads of the pool compile the kernels.
         crate::prepared::outside_the_pool();
-        let (capacity, groups) =
-            if gpu.software { (SOFTWARE_CAPACITY, SOFTWARE_GROUPS) } else { (CAPACITY, GROUPS) };
+        let (capacity, groups) = if gpu.software {
+            (SOFTWARE_CAPACITY, SOFTWARE_GROUPS)
+        } else {
+            (CAPACITY, GROUPS)
+        };
         if scene.empty {
             return Ok(None);
         }
@@ -154,16 +165,24 @@ impl<'a> GpuRounds<'a> {
         };
         let made = || -> Result<Self, Fault> {
             let facts = once(&kit.facts, || {
-                scoped_by_kind(&gpu.device, || Facts::new(&gpu.device, block).map_err(Fault::Refused))
+                scoped_by_kind(&gpu.device, || {
+                    Facts::new(&gpu.device, block).map_err(Fault::Refused)
+                })
             })?;
             let spare = lock(&kit.spare).pop();
             scoped_by_kind(&gpu.device, || {
                 let tables = Tables::new(&gpu.device, &kernels, &facts, block, capacity);
                 let tables = tables.map_err(Fault::Refused)?;
                 let lists = spare.unwrap_or_else(|| Lists::new(&gpu.device, capacity));
-                let cells = block.cells.len().max(block.pairs.as_ref().map_or(0, |pairs| pairs.cells.len()));
+                let cells = block
+                    .cells
+                    .len()
+                    .max(block.pairs.as_ref().map_or(0, |pairs| pairs.cells.len()));
                 let lent = Lent::new(&gpu.device, &kernels, lists, &tables, cells);
-                let profile = gpu.measures.then(|| Profile::new(&gpu.device, &gpu.queue)).flatten();
+                let profile = gpu
+                    .measures
+                    .then(|| Profile::new(&gpu.device, &gpu.queue))
+                    .flatten();
                 let (lent, state) = (Some(lent), Mutex::default());
                 let (pairs, kernels) = (block.pairs.as_ref(), kernels.clone());
                 let joined = pairs.map_or([0; 2], |pairs| pairs.joins);
@@ -193,7 +212,9 @@ impl<'a> GpuRounds<'a> {
     }
 
     fn lent(&self) -> Result<&Lent, BackendError> {
-        self.lent.as_ref().ok_or_else(|| self.gpu.failed("the block is gone"))
+        self.lent
+            .as_ref()
+            .ok_or_else(|| self.gpu.failed("the block is gone"))
     }
 
     /// Writes a part's numbers; the offset at which kernels find them.
@@ -203,7 +224,9 @@ impl<'a> GpuRounds<'a> {
         state.parts += 1;
         state.traffic.up += size_of::<Part>() as u64;
         drop(state);
-        self.gpu.queue.write_buffer(&lent.parts, offset, bytemuck::bytes_of(part));
+        self.gpu
+            .queue
+            .write_buffer(&lent.parts, offset, bytemuck::bytes_of(part));
         offset as u32
     }
 
@@ -211,7 +234,9 @@ impl<'a> GpuRounds<'a> {
     fn begin(&self, items: &[[u32; 4]]) -> Result<(&Lent, wgpu::CommandEncoder), BackendError> {
         self.gpu.check()?;
         let lent = self.lent()?;
-        self.gpu.queue.write_buffer(&lent.items, 0, bytemuck::cast_slice(items));
+        self.gpu
+            .queue
+            .write_buffer(&lent.items, 0, bytemuck::cast_slice(items));
         lock(&self.state).traffic.up += size_of_val(items) as u64;
         let mut encoder = self.encoder();
         encoder.clear_buffer(&self.tables.met, 0, None);
@@ -221,16 +246,34 @@ impl<'a> GpuRounds<'a> {
     }
 
     fn encoder(&self) -> wgpu::CommandEncoder {
-        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+        self.gpu
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
     /// Records kernels that follow each other.
-    fn run(&self, encoder: &mut wgpu::CommandEncoder, lent: &Lent, offset: u32, kernels: &[Kernel]) {
+    fn run(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        lent: &Lent,
+        offset: u32,
+        kernels: &[Kernel],
+    ) {
         // One pass for all, or one for each that is measured.
-        let each = if self.profile.is_some() { 1 } else { kernels.len() };
+        let each = if self.profile.is_some() {
+            1
+        } else {
+            kernels.len()
+        };
         for some in kernels.chunks(each.max(1)) {
-            let timestamp_writes = self.profile.as_ref().and_then(|profile| profile.writes(some[0]));
-            let descriptor = wgpu::ComputePassDescriptor { label: None, timestamp_writes };
+            let timestamp_writes = self
+                .profile
+                .as_ref()
+                .and_then(|profile| profile.writes(some[0]));
+            let descriptor = wgpu::ComputePassDescriptor {
+                label: None,
+                timestamp_writes,
+            };
             let mut pass = encoder.begin_compute_pass(&descriptor);
             pass.set_bind_group(0, &self.scene.group, &[]);
             pass.set_bind_group(1, &self.tables.group, &[]);
@@ -247,7 +290,11 @@ impl<'a> GpuRounds<'a> {
         let submission = self.gpu.queue.submit([encoder.finish()]);
         let mut state = lock(&self.state);
         state.flying.push_back(submission.clone());
-        let oldest = if state.flying.len() > IN_FLIGHT { state.flying.pop_front() } else { None };
+        let oldest = if state.flying.len() > IN_FLIGHT {
+            state.flying.pop_front()
+        } else {
+            None
+        };
         drop(state);
         if let Some(oldest) = oldest {
             let start = Instant::now();
@@ -274,11 +321,14 @@ impl<'a> GpuRounds<'a> {
         let submission = self.submit(encoder)?;
         let start = Instant::now();
         let (sender, mapped) = mpsc::channel();
-        lent.read_back.map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
+        lent.read_back
+            .map_async(wgpu::MapMode::Read, ..end, move |r| drop(sender.send(r)));
         self.gpu.wait(submission)?;
         match mapped.recv_timeout(PATIENCE) {
             Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(self.gpu.failed(format!("mapping what was found: {error}"))),
+            Ok(Err(error)) => {
+                return Err(self.gpu.failed(format!("mapping what was found: {error}")));
+            }
             Err(_) => return Err(self.gpu.failed("what was found was not mapped")),
         }
         let numbers = {
@@ -297,7 +347,10 @@ impl<'a> GpuRounds<'a> {
 }
 
 /// The value of a cell that is filled once; a failure is tried again.
-fn once<T>(place: &Mutex<Option<Arc<T>>>, make: impl FnOnce() -> Result<T, Fault>) -> Result<Arc<T>, Fault> {
+fn once<T>(
+    place: &Mutex<Option<Arc<T>>>,
+    make: impl FnOnce() -> Result<T, Fault>,
+) -> Result<Arc<T>, Fault> {
     let mut place = lock(place);
     if let Some(made) = &*place {
         return Ok(Arc::clone(made));

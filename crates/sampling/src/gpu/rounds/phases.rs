@@ -9,7 +9,8 @@ use crate::error::BackendError;
 use crate::gpu::locks::lock;
 use crate::lines::bits::SeenBits;
 use crate::lines::device::{
-    AimPlan, AimWork, FLOOD_STEPS, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic, UniformWork,
+    AimPlan, AimWork, FLOOD_STEPS, Found, GoesOn, KernelTime, Rounds, SegmentWork, Traffic,
+    UniformWork,
 };
 use crate::packet::LANES;
 
@@ -29,7 +30,11 @@ const LEAST_SEGMENTS: u32 = 1 << 16;
 impl GpuRounds<'_> {
     /// The kernel that joins cells, where pairs are looked for.
     fn joins(&self) -> &'static [Kernel] {
-        if self.tables.pair_places > 0 { &[Kernel::JoinLines] } else { &[] }
+        if self.tables.pair_places > 0 {
+            &[Kernel::JoinLines]
+        } else {
+            &[]
+        }
     }
 
     /// Casts the uniform lines of some items and floods from what they find.
@@ -40,11 +45,28 @@ impl GpuRounds<'_> {
         encoder.clear_buffer(&lent.counters, 0, Some(8));
         encoder.clear_buffer(&lent.claims, 0, Some(claims));
         use Kernel::*;
-        self.run(&mut encoder, lent, offset, &[MakeUniform, TraceRays, CreditLines]);
+        self.run(
+            &mut encoder,
+            lent,
+            offset,
+            &[MakeUniform, TraceRays, CreditLines],
+        );
         self.run(&mut encoder, lent, offset, self.joins());
         self.run(&mut encoder, lent, offset, &[ClaimUniform, GatherUniform]);
-        let aimed = self.part(lent, &Part { joins: self.joined[1], ..*part });
-        self.flood(&mut encoder, lent, (offset, aimed), claims, (MakeFlood, FLOOD_STEPS));
+        let aimed = self.part(
+            lent,
+            &Part {
+                joins: self.joined[1],
+                ..*part
+            },
+        );
+        self.flood(
+            &mut encoder,
+            lent,
+            (offset, aimed),
+            claims,
+            (MakeFlood, FLOOD_STEPS),
+        );
         self.submit(encoder).map(drop)
     }
 
@@ -62,7 +84,12 @@ impl GpuRounds<'_> {
         for _ in 0..steps {
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
-            self.run(encoder, lent, offset, &[ClaimNext, make, TraceRays, CreditLines]);
+            self.run(
+                encoder,
+                lent,
+                offset,
+                &[ClaimNext, make, TraceRays, CreditLines],
+            );
             self.run(encoder, lent, joined, self.joins());
             encoder.clear_buffer(&lent.counters, 0, Some(4));
             encoder.clear_buffer(&lent.claims, 0, Some(claims));
@@ -85,7 +112,13 @@ impl GpuRounds<'_> {
         self.run(encoder, lent, offset, &[MakeAimed, TraceRays, CreditLines]);
         self.run(encoder, lent, offset, self.joins());
         self.run(encoder, lent, offset, &[ClaimAimed, GatherAimed]);
-        self.flood(encoder, lent, (offset, offset), claims, (MakeAimedFlood, steps));
+        self.flood(
+            encoder,
+            lent,
+            (offset, offset),
+            claims,
+            (MakeAimedFlood, steps),
+        );
     }
 
     /// Places of claims, less one, for so many rays.
@@ -105,7 +138,11 @@ impl GpuRounds<'_> {
             if sum > most {
                 // One stripe alone: each triangle has at most one candidate a cell.
                 let step = (most / open.max(1) as u64).max(1) as usize;
-                runs.extend((from..to).step_by(step).map(|at| (at, to.min(at + step as u32), most)));
+                runs.extend(
+                    (from..to)
+                        .step_by(step)
+                        .map(|at| (at, to.min(at + step as u32), most)),
+                );
             } else if sum > 0 {
                 runs.push((from, to, sum + slack));
             }
@@ -133,13 +170,25 @@ impl Rounds for GpuRounds<'_> {
         self.submit(encoder)?;
         let tables = [
             (filled_words(bits.table()), &lent.words, Kernel::PutWords),
-            (filled_words(pairs.unwrap_or_default()), &lent.pair_words, Kernel::PutPairs),
+            (
+                filled_words(pairs.unwrap_or_default()),
+                &lent.pair_words,
+                Kernel::PutPairs,
+            ),
         ];
         for (words, list, kernel) in tables {
             for run in words.chunks(3 * self.capacity as usize) {
-                self.gpu.queue.write_buffer(list, 0, bytemuck::cast_slice(run));
+                self.gpu
+                    .queue
+                    .write_buffer(list, 0, bytemuck::cast_slice(run));
                 lock(&self.state).traffic.up += size_of_val(run) as u64;
-                let offset = self.part(lent, &Part { count: run.len() as u32, ..Part::default() });
+                let offset = self.part(
+                    lent,
+                    &Part {
+                        count: run.len() as u32,
+                        ..Part::default()
+                    },
+                );
                 let mut encoder = self.encoder();
                 self.run(&mut encoder, lent, offset, &[kernel]);
                 self.submit(encoder)?;
@@ -160,7 +209,10 @@ impl Rounds for GpuRounds<'_> {
             .collect();
         if tiles >= MOST_NUMBERED {
             let (one, two) = work.split_at(work.len() / 2);
-            return Ok(joined(self.uniform(one, goes_on)?, self.uniform(two, goes_on)?));
+            return Ok(joined(
+                self.uniform(one, goes_on)?,
+                self.uniform(two, goes_on)?,
+            ));
         }
         let (lent, encoder) = self.begin(&items)?;
         self.submit(encoder)?;
@@ -175,7 +227,17 @@ impl Rounds for GpuRounds<'_> {
             let mask = self.claims_for(2 * u64::from(count));
             let items = items.len() as u32;
             let joins = self.joined[0];
-            self.uniform_part(lent, &Part { count, first, items, mask, joins, ..Part::default() })?;
+            self.uniform_part(
+                lent,
+                &Part {
+                    count,
+                    first,
+                    items,
+                    mask,
+                    joins,
+                    ..Part::default()
+                },
+            )?;
             last = 2 * u64::from(count);
             rays += last;
         }
@@ -185,10 +247,22 @@ impl Rounds for GpuRounds<'_> {
         Ok(found)
     }
 
-    fn aim(&self, work: &[AimWork], plan: &AimPlan, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+    fn aim(
+        &self,
+        work: &[AimWork],
+        plan: &AimPlan,
+        goes_on: GoesOn<'_>,
+    ) -> Result<Found, BackendError> {
         let items: Vec<[u32; 4]> = work
             .iter()
-            .map(|w| [w.cell as u32, (w.least as f32).to_bits(), (w.rays as f32).to_bits(), 0])
+            .map(|w| {
+                [
+                    w.cell as u32,
+                    (w.least as f32).to_bits(),
+                    (w.rays as f32).to_bits(),
+                    0,
+                ]
+            })
             .collect();
         let of = |part: Part| Part {
             items: items.len() as u32,
@@ -201,10 +275,23 @@ impl Rounds for GpuRounds<'_> {
         let (lent, mut encoder) = self.begin(&items)?;
         encoder.clear_buffer(&lent.places, 0, None);
         let offset = self.part(lent, &of(Part::default()));
-        self.run(&mut encoder, lent, offset, &[Kernel::PlaceItems, Kernel::CountCandidates]);
+        self.run(
+            &mut encoder,
+            lent,
+            offset,
+            &[Kernel::PlaceItems, Kernel::CountCandidates],
+        );
         let slots = 256 * u64::from(self.tables.words);
-        let counts = self.read(encoder, lent, &[(&lent.places, slots, lent.places.size() - slots)])?;
-        let most = plan.times.iter().fold(1.0f32, |most, t| most.max(*t)).ceil() as u32;
+        let counts = self.read(
+            encoder,
+            lent,
+            &[(&lent.places, slots, lent.places.size() - slots)],
+        )?;
+        let most = plan
+            .times
+            .iter()
+            .fold(1.0f32, |most, t| most.max(*t))
+            .ceil() as u32;
         for (from, to, candidates) in self.runs_of_candidates(&counts, items.len()) {
             // How many lines a part has, only the device knows before the end.
             if !goes_on(0) {
@@ -214,17 +301,30 @@ impl Rounds for GpuRounds<'_> {
             // Finds, lines, words and candidates, but not the tally.
             encoder.clear_buffer(&lent.counters, 0, Some(16));
             let mask = self.claims_for(2 * candidates);
-            let part = of(Part { first: from, count: to - from, mask, ..Part::default() });
+            let part = of(Part {
+                first: from,
+                count: to - from,
+                mask,
+                ..Part::default()
+            });
             let offset = self.part(lent, &part);
             self.run(&mut encoder, lent, offset, &[Kernel::ListCandidates]);
             for time in 0..most {
                 let offset = self.part(lent, &Part { time, ..part });
-                self.one_try(&mut encoder, lent, offset, (part.bytes_of_claims(), plan.flood_steps));
+                self.one_try(
+                    &mut encoder,
+                    lent,
+                    offset,
+                    (part.bytes_of_claims(), plan.flood_steps),
+                );
             }
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items.len())?;
-        let rays = found.counts.iter().map(|c| u64::from(c[0]) + u64::from(c[2]));
+        let rays = found
+            .counts
+            .iter()
+            .map(|c| u64::from(c[0]) + u64::from(c[2]));
         lock(&self.state).traffic.rays += rays.sum::<u64>();
         Ok(found)
     }
@@ -241,7 +341,16 @@ impl Rounds for GpuRounds<'_> {
             }
             let count = each.min(groups - first) * LANES as u32;
             let joins = self.joined[1];
-            let offset = self.part(lent, &Part { first, count, items: 1, joins, ..Part::default() });
+            let offset = self.part(
+                lent,
+                &Part {
+                    first,
+                    count,
+                    items: 1,
+                    joins,
+                    ..Part::default()
+                },
+            );
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             self.run(
@@ -259,18 +368,30 @@ impl Rounds for GpuRounds<'_> {
         Ok(found)
     }
 
-    fn check(&self, work: &[(usize, u64)], look: u32, goes_on: GoesOn<'_>) -> Result<Found, BackendError> {
+    fn check(
+        &self,
+        work: &[(usize, u64)],
+        look: u32,
+        goes_on: GoesOn<'_>,
+    ) -> Result<Found, BackendError> {
         let lines: u64 = work.iter().map(|w| w.1).sum();
         if lines >= MOST_NUMBERED && work.len() > 1 {
             let (one, two) = work.split_at(work.len() / 2);
-            return Ok(joined(self.check(one, look, goes_on)?, self.check(two, look, goes_on)?));
+            return Ok(joined(
+                self.check(one, look, goes_on)?,
+                self.check(two, look, goes_on)?,
+            ));
         }
         let mut before = 0;
         let items: Vec<[u32; 4]> = work
             .iter()
             .map(|(cell, lines)| {
-                let own =
-                    [*cell as u32, self.division_slots.get(*cell).copied().unwrap_or(0), 0, before as u32];
+                let own = [
+                    *cell as u32,
+                    self.division_slots.get(*cell).copied().unwrap_or(0),
+                    0,
+                    before as u32,
+                ];
                 before += lines;
                 own
             })
@@ -295,7 +416,12 @@ impl Rounds for GpuRounds<'_> {
             let offset = self.part(lent, &part);
             let mut encoder = self.encoder();
             use Kernel::*;
-            self.run(&mut encoder, lent, offset, &[MakeCheck, TraceRays, CreditLines, GatherCheck]);
+            self.run(
+                &mut encoder,
+                lent,
+                offset,
+                &[MakeCheck, TraceRays, CreditLines, GatherCheck],
+            );
             if self.tables.pair_places > 0 {
                 self.run(&mut encoder, lent, offset, &[CheckPairs]);
             }
@@ -333,7 +459,12 @@ impl Rounds for GpuRounds<'_> {
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             use Kernel::*;
-            self.run(&mut encoder, lent, offset, &[MakeSegments, TraceRays, GatherSegments]);
+            self.run(
+                &mut encoder,
+                lent,
+                offset,
+                &[MakeSegments, TraceRays, GatherSegments],
+            );
             self.submit(encoder)?;
         }
         let found = self.end(lent, self.encoder(), items.len())?;

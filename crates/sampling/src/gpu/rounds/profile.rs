@@ -44,7 +44,12 @@ impl Profile {
             usage: wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
             mapped_at_creation: false,
         });
-        Some(Self { set, stamps, period: f64::from(queue.get_timestamp_period()), state: Mutex::default() })
+        Some(Self {
+            set,
+            stamps,
+            period: f64::from(queue.get_timestamp_period()),
+            state: Mutex::default(),
+        })
     }
 
     /// Where the pass of a kernel writes its stamps.
@@ -85,7 +90,10 @@ impl Profile {
 
     pub(super) fn times(&self) -> Vec<KernelTime> {
         let sums = lock(&self.state).sums;
-        let named = ENTRY_POINTS.into_iter().zip(sums).filter(|(_, (_, runs))| *runs > 0);
+        let named = ENTRY_POINTS
+            .into_iter()
+            .zip(sums)
+            .filter(|(_, (_, runs))| *runs > 0);
         named
             .map(|(name, (ticks, runs))| KernelTime {
                 name,

@@ -21,7 +21,11 @@ use crate::packet::Packet;
 use crate::surface::Surface;
 
 fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
-    let spec = CubeSpec { resolution: 16, strata: Strata::One, keep_pixels: false };
+    let spec = CubeSpec {
+        resolution: 16,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
     match GpuBackend::new(scene.clone(), spec, AdapterChoice::AllowSoftware) {
         Ok(backend) => Some(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
@@ -32,10 +36,18 @@ fn backend(scene: &Arc<Scene>) -> Option<GpuBackend> {
     }
 }
 
-const KERNELS: [Kernel; 4] = [Kernel::MakeUniform, Kernel::TraceRays, Kernel::CreditLines, Kernel::JoinLines];
+const KERNELS: [Kernel; 4] = [
+    Kernel::MakeUniform,
+    Kernel::TraceRays,
+    Kernel::CreditLines,
+    Kernel::JoinLines,
+];
 
 fn town() -> Scene {
-    let params = Params { triangles: Some(3000), ..Params::default() };
+    let params = Params {
+        triangles: Some(3000),
+        ..Params::default()
+    };
     generate::generate(Kind::Rooms, &params).unwrap()
 }
 
@@ -78,12 +90,19 @@ fn credited(
 
 fn compare(scene: Scene, far: f32) {
     let scene = Arc::new(scene);
-    let Some(backend) = backend(&scene) else { return };
-    let all: Vec<u32> =
-        (0..scene.len()).filter(|t| !scene.triangles()[*t as usize].is_degenerate()).collect();
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let all: Vec<u32> = (0..scene.len())
+        .filter(|t| !scene.triangles()[*t as usize].is_degenerate())
+        .collect();
     let surface = Surface::of(&scene, &all);
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
-    let kit = backend.lines[LineSet::Blocking as usize].get().unwrap().as_ref().unwrap();
+    let kit = backend.lines[LineSet::Blocking as usize]
+        .get()
+        .unwrap()
+        .as_ref()
+        .unwrap();
     let bounds = scene.bounds();
     let grid = CellGrid::new(bounds.min, bounds.max, [7, 5, 3]);
     let cells: Vec<DeviceCell> = grid
@@ -91,7 +110,14 @@ fn compare(scene: Scene, far: f32) {
         .zip(0..)
         .map(|(at, key)| {
             let (low, size) = grid.cell_box(at);
-            DeviceCell { low, size, at, slot: grid.slot(at), parts: u64::MAX, key }
+            DeviceCell {
+                low,
+                size,
+                at,
+                slot: grid.slot(at),
+                parts: u64::MAX,
+                key,
+            }
         })
         .collect();
     let step = (bounds.max - bounds.min).max_element() / (1 << 24) as f32;
@@ -117,35 +143,75 @@ fn compare(scene: Scene, far: f32) {
         .zip(0..)
         .map(|(at, key)| {
             let (low, size) = division.cell_box(at);
-            DeviceCell { low, size, at, slot: division.slot(at), parts: u64::MAX, key }
+            DeviceCell {
+                low,
+                size,
+                at,
+                slot: division.slot(at),
+                parts: u64::MAX,
+                key,
+            }
         })
         .collect();
     let slots = vec![0; cells.len()];
-    let device_pairs =
-        DevicePairs { grid: &division, cells: &division_cells, reached: &[], slots: &slots, joins: [1; 2] };
-    let block = DeviceBlock { pairs: Some(device_pairs), ..block };
+    let device_pairs = DevicePairs {
+        grid: &division,
+        cells: &division_cells,
+        reached: &[],
+        slots: &slots,
+        joins: [1; 2],
+    };
+    let block = DeviceBlock {
+        pairs: Some(device_pairs),
+        ..block
+    };
     let (line_scene, rounds_kit) = kit.for_rounds();
-    let rounds = GpuRounds::new(&backend.gpu, line_scene, rounds_kit, &block).unwrap().unwrap();
+    let rounds = GpuRounds::new(&backend.gpu, line_scene, rounds_kit, &block)
+        .unwrap()
+        .unwrap();
     let bits = SeenBits::new(scene.triangles().len(), grid.words());
     rounds.restart(&bits, None).unwrap();
     // One part of uniform lines, without a flood, so that the lists still hold it.
     let tiles = 2;
-    let items: Vec<[u32; 4]> =
-        (0..cells.len() as u32).map(|c| [c, tiles, 0, c * 3 * tiles * tiles]).collect();
+    let items: Vec<[u32; 4]> = (0..cells.len() as u32)
+        .map(|c| [c, tiles, 0, c * 3 * tiles * tiles])
+        .collect();
     let count = items.len() as u32 * 3 * tiles * tiles * LANES as u32;
     assert!(count <= rounds.capacity / 2);
     let (lent, mut encoder) = rounds.begin(&items).unwrap();
-    let offset = rounds.part(lent, &Part { count, items: items.len() as u32, joins: 1, ..Part::default() });
+    let offset = rounds.part(
+        lent,
+        &Part {
+            count,
+            items: items.len() as u32,
+            joins: 1,
+            ..Part::default()
+        },
+    );
     rounds.run(&mut encoder, lent, offset, &KERNELS);
     let bytes = 16 * u64::from(count);
     let floats = |numbers: Vec<u32>| -> Vec<[f32; 3]> {
-        numbers.chunks_exact(4).map(|v| [0, 1, 2].map(|a: usize| f32::from_bits(v[a]))).collect()
+        numbers
+            .chunks_exact(4)
+            .map(|v| [0, 1, 2].map(|a: usize| f32::from_bits(v[a])))
+            .collect()
     };
-    let origins = floats(rounds.read(encoder, lent, &[(&lent.from, 0, bytes)]).unwrap());
-    let directions = floats(rounds.read(rounds.encoder(), lent, &[(&lent.to, 0, bytes)]).unwrap());
+    let origins = floats(
+        rounds
+            .read(encoder, lent, &[(&lent.from, 0, bytes)])
+            .unwrap(),
+    );
+    let directions = floats(
+        rounds
+            .read(rounds.encoder(), lent, &[(&lent.to, 0, bytes)])
+            .unwrap(),
+    );
     let found = rounds.end(lent, rounds.encoder(), items.len()).unwrap();
     let mut by_device = vec![0u64; bits.places()];
-    found.words.iter().for_each(|(at, word)| by_device[*at as usize] |= word);
+    found
+        .words
+        .iter()
+        .for_each(|(at, word)| by_device[*at as usize] |= word);
 
     let joined: BTreeMap<u32, u64> = found.pair_words.iter().copied().collect();
 
@@ -153,23 +219,41 @@ fn compare(scene: Scene, far: f32) {
     let pairs = Pairs::new(division.clone());
     for (origins, directions) in origins.chunks(LANES).zip(directions.chunks(LANES)) {
         let mut ahead = Packet::default();
-        origins.iter().zip(directions).for_each(|(o, d)| ahead.push(*o, *d));
+        origins
+            .iter()
+            .zip(directions)
+            .for_each(|(o, d)| ahead.push(*o, *d));
         let mut both = [ahead.clone(), ahead.reversed(step)];
         tracer.trace(&mut both).unwrap();
         let [ahead, behind] = &both;
-        credited(&grid, (ahead, behind), step, (far, one_way), |triangle, crossed| {
-            for (word, bits) in crossed {
-                by_host[triangle as usize * grid.words() + *word as usize] |= bits;
-            }
-        });
+        credited(
+            &grid,
+            (ahead, behind),
+            step,
+            (far, one_way),
+            |triangle, crossed| {
+                for (word, bits) in crossed {
+                    by_host[triangle as usize * grid.words() + *word as usize] |= bits;
+                }
+            },
+        );
         for lane in 0..ahead.count {
             let limit = far / ahead.length(lane);
             let end = |of: &Packet| of.distance[lane].min(limit);
             let (from, to) = (ahead.advance(lane, step) - end(behind), end(ahead));
-            let halves = [(from.max(-limit), to.min(0.0)), (from.max(0.0), to.min(limit))];
+            let halves = [
+                (from.max(-limit), to.min(0.0)),
+                (from.max(0.0), to.min(limit)),
+            ];
             let whole = [(from, to)];
-            let parts: &[_] = if one_way || far < f32::INFINITY { &halves } else { &whole };
-            parts.iter().for_each(|(a, b)| pairs.join_line(ahead.ray(lane), *a, *b, &mut Crossed::new()));
+            let parts: &[_] = if one_way || far < f32::INFINITY {
+                &halves
+            } else {
+                &whole
+            };
+            parts
+                .iter()
+                .for_each(|(a, b)| pairs.join_line(ahead.ray(lane), *a, *b, &mut Crossed::new()));
         }
     }
     let expected = pairs.copy();
@@ -178,7 +262,11 @@ fn compare(scene: Scene, far: f32) {
     assert!(expected.iter().enumerate().all(has), "pairs differ");
     let lit = by_host.iter().map(|w| w.count_ones()).sum::<u32>();
     assert!(lit > 1000, "{lit} bits test something");
-    let differ: u32 = by_device.iter().zip(&by_host).map(|(d, h)| (d ^ h).count_ones()).sum();
+    let differ: u32 = by_device
+        .iter()
+        .zip(&by_host)
+        .map(|(d, h)| (d ^ h).count_ones())
+        .sum();
     assert_eq!(differ, 0, "of {lit} bits");
 }
 
@@ -204,13 +292,22 @@ fn triangles_of_one_side_are_credited_as_on_the_host() {
 #[test]
 fn a_lost_device_is_an_error() {
     let scene = Arc::new(town());
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let all: Vec<u32> = (0..scene.len()).collect();
     let surface = Surface::of(&scene, &all);
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
     let grid = CellGrid::new(Vec3::ZERO, Vec3::ONE, [1; 3]);
     let (low, size) = grid.cell_box([0; 3]);
-    let cells = [DeviceCell { low, size, at: [0; 3], slot: grid.slot([0; 3]), parts: u64::MAX, key: 1 }];
+    let cells = [DeviceCell {
+        low,
+        size,
+        at: [0; 3],
+        slot: grid.slot([0; 3]),
+        parts: u64::MAX,
+        key: 1,
+    }];
     let block = DeviceBlock {
         scene: &scene,
         surface: &surface,
@@ -226,24 +323,46 @@ fn a_lost_device_is_an_error() {
         pairs: None,
     };
     let rounds = tracer.rounds(&block).unwrap().unwrap();
-    let work = [UniformWork { cell: 0, tiles: 2, base: 0 }];
-    rounds.restart(&SeenBits::new(scene.triangles().len(), 1), None).unwrap();
+    let work = [UniformWork {
+        cell: 0,
+        tiles: 2,
+        base: 0,
+    }];
+    rounds
+        .restart(&SeenBits::new(scene.triangles().len(), 1), None)
+        .unwrap();
     rounds.uniform(&work, &|_| true).unwrap();
     backend.gpu.device.destroy();
-    assert!(matches!(rounds.uniform(&work, &|_| true), Err(BackendError::Failed { .. })));
-    assert!(matches!(rounds.seeds(&|_| true), Err(BackendError::Failed { .. })));
+    assert!(matches!(
+        rounds.uniform(&work, &|_| true),
+        Err(BackendError::Failed { .. })
+    ));
+    assert!(matches!(
+        rounds.seeds(&|_| true),
+        Err(BackendError::Failed { .. })
+    ));
 }
 
 /// An error in one of the threads that compile is no error of the device: the host casts the rounds then.
 #[test]
 fn kernels_that_a_driver_refuses_are_refused_and_the_device_goes_on() {
     let scene = Arc::new(town());
-    let Some(backend) = backend(&scene) else { return };
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
     let all: Vec<u32> = (0..scene.len()).collect();
     let tracer = backend.lines(LineSet::Blocking, &all).unwrap();
-    let kit = backend.lines[LineSet::Blocking as usize].get().unwrap().as_ref().unwrap();
+    let kit = backend.lines[LineSet::Blocking as usize]
+        .get()
+        .unwrap()
+        .as_ref()
+        .unwrap();
     let (line_scene, _) = kit.for_rounds();
-    let refused = Kernels::with(&backend.gpu.device, line_scene, &[("NO_SUCH_CONSTANT", 1.0)]);
+    let refused = Kernels::with(
+        &backend.gpu.device,
+        line_scene,
+        &[("NO_SUCH_CONSTANT", 1.0)],
+    );
     assert!(matches!(refused, Err(Fault::Refused(_))));
     backend.gpu.check().unwrap();
     let mut packet = Packet::default();

@@ -36,21 +36,29 @@ impl<'a> Accessor<'a> {
         let label = format!("{}, accessor {}", used.by, used.accessor);
         let bad = |why: String| source.bad(label.as_str(), why);
         let Some(component) = Component::from_number(a.component_type) else {
-            return Err(bad(format!("its component type {} is unknown", a.component_type)));
+            return Err(bad(format!(
+                "its component type {} is unknown",
+                a.component_type
+            )));
         };
         check_type(source, root, &label, a, component, used.role)?;
         let size = component.size() * used.role.shape().1;
         let mut stride = size;
         let base = match a.buffer_view {
             None if a.count > buffers.size() => {
-                return Err(bad(format!("it has {} elements but no buffer view to hold them", a.count)));
+                return Err(bad(format!(
+                    "it has {} elements but no buffer view to hold them",
+                    a.count
+                )));
             }
             None => None,
             Some(v) => {
                 let bytes = buffers.view(source, root, v)?;
                 // A compressed view has its stride in the extension, too; some files have it only there.
                 let view = &root.buffer_views[v];
-                let given = view.byte_stride.or(view.meshopt().map(|(_, m)| m.byte_stride));
+                let given = view
+                    .byte_stride
+                    .or(view.meshopt().map(|(_, m)| m.byte_stride));
                 stride = given.filter(|s| *s != 0).unwrap_or(size);
                 if stride < size {
                     return Err(bad(format!(
@@ -77,7 +85,9 @@ impl<'a> Accessor<'a> {
         };
         let sparse = match &a.sparse {
             None => None,
-            Some(s) => Some(Overlay::new(source, root, buffers, &label, s, a.count, size)?),
+            Some(s) => Some(Overlay::new(
+                source, root, buffers, &label, s, a.count, size,
+            )?),
         };
         // Stride and size fit: with two elements or more the stride is below the view's length, else it is
         // not used.
@@ -97,7 +107,15 @@ impl<'a> Accessor<'a> {
     fn decoded(of: &'a Elements, role: Role, normalized: bool) -> Self {
         let size = (of.component.size() * role.shape().1) as usize;
         let (base, count, component) = (Some(of.bytes.as_slice()), of.count, of.component);
-        Self { base, stride: size, size, count, component, normalized, sparse: None }
+        Self {
+            base,
+            stride: size,
+            size,
+            count,
+            component,
+            normalized,
+            sparse: None,
+        }
     }
 
     /// Number of elements.
@@ -124,7 +142,8 @@ impl<'a> Accessor<'a> {
         }
         // Nearly all positions.
         if let (Component::F32, Some(&xyz)) = (self.component, b.first_chunk::<12>()) {
-            return bytemuck::cast::<_, [[u8; 4]; 3]>(xyz).map(|c| f64::from(f32::from_le_bytes(c)));
+            return bytemuck::cast::<_, [[u8; 4]; 3]>(xyz)
+                .map(|c| f64::from(f32::from_le_bytes(c)));
         }
         [0, 1, 2].map(|c| self.component.number(b, c, self.normalized))
     }
@@ -150,7 +169,11 @@ impl<'a> Accessor<'a> {
     /// The alpha of element `i`, a colour.
     pub(super) fn alpha(&self, i: u64) -> f64 {
         let b = self.element(i);
-        if b.is_empty() { 0.0 } else { self.component.number(b, 3, self.normalized) }
+        if b.is_empty() {
+            0.0
+        } else {
+            self.component.number(b, 3, self.normalized)
+        }
     }
 
     /// Element `i` as an index.
@@ -185,25 +208,34 @@ fn check_type(
     }
     match (role, component) {
         (Role::Indices, U8 | U16 | U32) if !a.normalized => Ok(()),
-        (Role::Indices, _) => Err(source.bad(label, "indices must be unsigned integers, not normalised")),
+        (Role::Indices, _) => {
+            Err(source.bad(label, "indices must be unsigned integers, not normalised"))
+        }
         (Role::Positions | Role::Offsets | Role::Rotations, F32) => Ok(()),
         (Role::Rotations, I8 | I16) if a.normalized => Ok(()),
-        (Role::Offsets, _) => Err(source.bad(label, "translations and scales of instances must be floats")),
-        (Role::Rotations, _) => {
-            Err(source.bad(label, "rotations of instances must be floats or normalised signed integers"))
+        (Role::Offsets, _) => {
+            Err(source.bad(label, "translations and scales of instances must be floats"))
         }
+        (Role::Rotations, _) => Err(source.bad(
+            label,
+            "rotations of instances must be floats or normalised signed integers",
+        )),
         (Role::Coordinates, F32 | I8 | U8 | I16 | U16) | (Role::Colors, F32) => Ok(()),
         (Role::Colors, U8 | U16) if a.normalized => Ok(()),
-        (Role::Coordinates, U32) => Err(source.bad(label, "texture coordinates cannot be 32-bit integers")),
-        (Role::Colors, _) => {
-            Err(source.bad(label, "vertex colours must be floats or normalised unsigned integers"))
+        (Role::Coordinates, U32) => {
+            Err(source.bad(label, "texture coordinates cannot be 32-bit integers"))
         }
+        (Role::Colors, _) => Err(source.bad(
+            label,
+            "vertex colours must be floats or normalised unsigned integers",
+        )),
         (Role::Positions, I8 | U8 | I16 | U16) => {
             let declared = root.extensions_used.iter().chain(&root.extensions_required);
             if declared.into_iter().any(|e| e == QUANTIZATION) {
                 return Ok(());
             }
-            let reason = format!("its positions are integers, but the file does not declare {QUANTIZATION}");
+            let reason =
+                format!("its positions are integers, but the file does not declare {QUANTIZATION}");
             Err(SceneError::bad(source.file, label, reason, EXPORT_AGAIN))
         }
         (Role::Positions, U32) => Err(source.bad(label, "positions cannot be 32-bit integers")),
@@ -252,6 +284,9 @@ impl<'a> Accessors<'a> {
 
     /// Accessor `number`, which [`uses`] must have named; an empty one otherwise.
     pub(super) fn get(&self, role: Role, number: usize) -> &Accessor<'a> {
-        self.by_role[role as usize].get(number).and_then(Option::as_ref).unwrap_or(&self.none)
+        self.by_role[role as usize]
+            .get(number)
+            .and_then(Option::as_ref)
+            .unwrap_or(&self.none)
     }
 }

@@ -29,40 +29,78 @@ impl Alpha {
     /// The alpha of a material; the fault in words when a field is none.
     pub(super) fn read(material: &Value) -> Result<Self, String> {
         // Of both models of a material the older extension goes first, as it says itself.
-        let glossy = material.get("extensions").and_then(|e| e.get("KHR_materials_pbrSpecularGlossiness"));
+        let glossy = material
+            .get("extensions")
+            .and_then(|e| e.get("KHR_materials_pbrSpecularGlossiness"));
         let (model, texture, factor) = match glossy {
             Some(model) => (Some(model), "diffuseTexture", "diffuseFactor"),
-            None => (material.get("pbrMetallicRoughness"), "baseColorTexture", "baseColorFactor"),
+            None => (
+                material.get("pbrMetallicRoughness"),
+                "baseColorTexture",
+                "baseColorFactor",
+            ),
         };
         let texture = model.and_then(|m| m.get(texture));
-        let factor = model.and_then(|m| m.get(factor)).map_or(Some(&Value::Null), |f| f.get(3));
+        let factor = model
+            .and_then(|m| m.get(factor))
+            .map_or(Some(&Value::Null), |f| f.get(3));
         let cutoff = Cutoff {
-            factor: number(factor.ok_or("its base colour factor has no alpha")?, 1.0, "base colour factor")?,
-            least: number(material.get("alphaCutoff").unwrap_or(&Value::Null), 0.5, "alphaCutoff")?,
+            factor: number(
+                factor.ok_or("its base colour factor has no alpha")?,
+                1.0,
+                "base colour factor",
+            )?,
+            least: number(
+                material.get("alphaCutoff").unwrap_or(&Value::Null),
+                0.5,
+                "alphaCutoff",
+            )?,
         };
-        let placed = texture.and_then(|t| t.get("extensions")).and_then(|e| e.get("KHR_texture_transform"));
+        let placed = texture
+            .and_then(|t| t.get("extensions"))
+            .and_then(|e| e.get("KHR_texture_transform"));
         let pair = |key: &str, default: f64| -> Result<[f64; 2], String> {
             let given = placed.and_then(|p| p.get(key));
-            let at = |i| given.map_or(Some(&Value::Null), |v| v.get(i)).unwrap_or(&Value::Bool(false));
+            let at = |i| {
+                given
+                    .map_or(Some(&Value::Null), |v| v.get(i))
+                    .unwrap_or(&Value::Bool(false))
+            };
             Ok([number(at(0), default, key)?, number(at(1), default, key)?])
         };
-        let rotation = placed.and_then(|p| p.get("rotation")).unwrap_or(&Value::Null);
+        let rotation = placed
+            .and_then(|p| p.get("rotation"))
+            .unwrap_or(&Value::Null);
         let (scale, offset) = (pair("scale", 1.0)?, pair("offset", 0.0)?);
-        let (cos, sin) = turn::of_quarters(number(rotation, 0.0, "rotation")? / std::f64::consts::FRAC_PI_2);
-        let set = placed.and_then(|p| p.get("texCoord")).or_else(|| texture.and_then(|t| t.get("texCoord")));
-        let index = |v: &Value, what: &str| v.as_u64().ok_or(format!("its {what} is no index: {v}"));
+        let (cos, sin) =
+            turn::of_quarters(number(rotation, 0.0, "rotation")? / std::f64::consts::FRAC_PI_2);
+        let set = placed
+            .and_then(|p| p.get("texCoord"))
+            .or_else(|| texture.and_then(|t| t.get("texCoord")));
+        let index =
+            |v: &Value, what: &str| v.as_u64().ok_or(format!("its {what} is no index: {v}"));
         let texture = texture
             .map(|t| index(t.get("index").unwrap_or(&Value::Null), "texture").map(|i| i as usize))
             .transpose()?;
         // Counter-clockwise where v points down, as every renderer has it (glTF issue 1563).
-        let matrix = [[cos * scale[0], sin * scale[1]], [-sin * scale[0], cos * scale[1]]];
+        let matrix = [
+            [cos * scale[0], sin * scale[1]],
+            [-sin * scale[0], cos * scale[1]],
+        ];
         let set = set.map_or(Ok(0), |s| index(s, "texCoord"))?;
-        Ok(Self { texture, set, cutoff, matrix, offset })
+        Ok(Self {
+            texture,
+            set,
+            cutoff,
+            matrix,
+            offset,
+        })
     }
 
     /// Texture coordinates of a vertex with the transform of the texture; none if they are not finite.
     pub(super) fn placed(&self, [u, v]: [f64; 2]) -> Option<[f32; 2]> {
-        let along = |a: usize| (self.matrix[a][0] * u + self.matrix[a][1] * v + self.offset[a]) as f32;
+        let along =
+            |a: usize| (self.matrix[a][0] * u + self.matrix[a][1] * v + self.offset[a]) as f32;
         Some([along(0), along(1)]).filter(|uv| uv.iter().all(|c| c.is_finite()))
     }
 }
@@ -71,6 +109,9 @@ impl Alpha {
 fn number(value: &Value, default: f64, what: &str) -> Result<f64, String> {
     match value {
         Value::Null => Ok(default),
-        v => v.as_f64().filter(|n| n.is_finite()).ok_or(format!("its {what} is no finite number: {v}")),
+        v => v
+            .as_f64()
+            .filter(|n| n.is_finite())
+            .ok_or(format!("its {what} is no finite number: {v}")),
     }
 }

@@ -119,7 +119,12 @@ impl<'a> Buffers<'a> {
     }
 
     /// The bytes of view `v`, which must be one that was wanted.
-    pub(super) fn view(&self, source: &Source<'_>, root: &json::Root, v: usize) -> Result<&[u8], SceneError> {
+    pub(super) fn view(
+        &self,
+        source: &Source<'_>,
+        root: &json::Root,
+        v: usize,
+    ) -> Result<&[u8], SceneError> {
         let Some(view) = root.buffer_views.get(v) else {
             return Err(source.bad(format!("buffer view {v}"), "there is no such buffer view"));
         };
@@ -142,14 +147,23 @@ impl<'a> Buffers<'a> {
         offset: u64,
         length: u64,
     ) -> Result<&[u8], SceneError> {
-        let bytes = self.data.get(buffer).and_then(|b| b.as_deref()).unwrap_or_default();
-        let end = offset.checked_add(length).filter(|e| *e <= bytes.len() as u64);
+        let bytes = self
+            .data
+            .get(buffer)
+            .and_then(|b| b.as_deref())
+            .unwrap_or_default();
+        let end = offset
+            .checked_add(length)
+            .filter(|e| *e <= bytes.len() as u64);
         match end {
             // Both are at most the length of a slice.
             Some(end) => Ok(&bytes[offset as usize..end as usize]),
             None => Err(source.bad(
                 format!("buffer view {v}"),
-                format!("bytes {offset} + {length} reach beyond buffer {buffer} of {} bytes", bytes.len()),
+                format!(
+                    "bytes {offset} + {length} reach beyond buffer {buffer} of {} bytes",
+                    bytes.len()
+                ),
             )),
         }
     }
@@ -166,16 +180,26 @@ fn one_buffer<'a>(
     let bytes: Cow<'a, [u8]> = match &buffer.uri {
         None => match binary {
             Some(b) if number == 0 => Cow::Borrowed(b),
-            _ => return Err(source.bad(element, "it has no uri and is not the binary chunk of a GLB")),
+            _ => {
+                return Err(source.bad(
+                    element,
+                    "it has no uri and is not the binary chunk of a GLB",
+                ));
+            }
         },
         Some(uri) => match uri.strip_prefix("data:") {
-            Some(data) => Cow::Owned(decode_data(data).map_err(|why| source.bad(element.as_str(), why))?),
+            Some(data) => {
+                Cow::Owned(decode_data(data).map_err(|why| source.bad(element.as_str(), why))?)
+            }
             None => Cow::Owned(beside(source, &element, uri, buffer.byte_length)?),
         },
     };
     let have = bytes.len() as u64;
     if have < buffer.byte_length {
-        let reason = format!("it announces {} bytes, but {have} are there (truncated?)", buffer.byte_length);
+        let reason = format!(
+            "it announces {} bytes, but {have} are there (truncated?)",
+            buffer.byte_length
+        );
         return Err(source.bad(element, reason));
     }
     let wanted = buffer.byte_length as usize;
@@ -200,7 +224,12 @@ pub fn uri_bytes(
     limit: u64,
 ) -> Result<Vec<u8>, SceneError> {
     let limits = Limits::default();
-    let source = Source { file, base_dir, limits: &limits, alpha_textures: false };
+    let source = Source {
+        file,
+        base_dir,
+        limits: &limits,
+        alpha_textures: false,
+    };
     match uri.strip_prefix("data:") {
         Some(data) => decode_data(data).map_err(|why| source.bad(element, why)),
         None => beside(&source, element, uri, limit),
@@ -233,7 +262,8 @@ pub(super) fn beside(
     limit: u64,
 ) -> Result<Vec<u8>, SceneError> {
     let shown: String = uri.chars().take(80).collect();
-    let refuse = |reason: String, remedy: &str| SceneError::bad(source.file, element, reason, remedy);
+    let refuse =
+        |reason: String, remedy: &str| SceneError::bad(source.file, element, reason, remedy);
     let Some(path) = relative_path(uri) else {
         return Err(refuse(
             format!("its uri \"{shown}\" is not a plain path below the directory of the scene"),
@@ -242,7 +272,9 @@ pub(super) fn beside(
     };
     let Some(base) = source.base_dir else {
         return Err(refuse(
-            format!("its uri \"{shown}\" names another file, and this scene did not come from a directory"),
+            format!(
+                "its uri \"{shown}\" names another file, and this scene did not come from a directory"
+            ),
             "export as GLB, which holds everything in one file",
         ));
     };
@@ -275,7 +307,9 @@ fn relative_path(uri: &str) -> Option<PathBuf> {
         return None;
     }
     let path = Path::new(&text);
-    let plain = path.components().all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
+    let plain = path
+        .components()
+        .all(|c| matches!(c, Component::Normal(_) | Component::CurDir));
     plain.then(|| path.to_owned())
 }
 
@@ -285,7 +319,10 @@ mod tests {
 
     #[test]
     fn paths_stay_below_the_scene() {
-        assert_eq!(relative_path("a%20b/c.bin"), Some(PathBuf::from("a b/c.bin")));
+        assert_eq!(
+            relative_path("a%20b/c.bin"),
+            Some(PathBuf::from("a b/c.bin"))
+        );
         assert_eq!(relative_path("./c.bin"), Some(PathBuf::from("./c.bin")));
         for bad in [
             "",

@@ -47,16 +47,26 @@ impl Decoded {
         uses: &[Use],
     ) -> Result<Self, SceneError> {
         let left = u64::from(source.limits.triangles) * MOST_TRIANGLE_BYTES;
-        let mut this = Self { elements: BTreeMap::new(), left };
+        let mut this = Self {
+            elements: BTreeMap::new(),
+            left,
+        };
         let drawn: BTreeSet<usize> = uses.iter().filter_map(|u| u.by.mesh()).collect();
-        let roles: BTreeSet<(usize, usize)> = uses.iter().map(|u| (u.role as usize, u.accessor)).collect();
+        let roles: BTreeSet<(usize, usize)> =
+            uses.iter().map(|u| (u.role as usize, u.accessor)).collect();
         for mesh in drawn {
             for (primitive, p) in root.meshes[mesh].primitives.iter().enumerate() {
                 let Some(of) = p.draco() else { continue };
                 let by = User::Primitive { mesh, primitive };
                 let element = format!("{by}, KHR_draco_mesh_compression");
-                this.add(root, (p, of), buffers.view(source, root, of.buffer_view)?, &roles, source)
-                    .map_err(|why| source.bad(element, why))?;
+                this.add(
+                    root,
+                    (p, of),
+                    buffers.view(source, root, of.buffer_view)?,
+                    &roles,
+                    source,
+                )
+                .map_err(|why| source.bad(element, why))?;
             }
         }
         Ok(this)
@@ -76,16 +86,27 @@ impl Decoded {
         source: &Source<'_>,
     ) -> Result<(), String> {
         if p.mode.unwrap_or(4) != 4 {
-            return Err("its mode must be 4 (triangles), which is what compression makes".to_owned());
+            return Err(
+                "its mode must be 4 (triangles), which is what compression makes".to_owned(),
+            );
         }
         let indices = p.indices.ok_or("the primitive has no indices")?;
-        let position = p.attributes.position.ok_or("the primitive has no POSITION")?;
+        let position = p
+            .attributes
+            .position
+            .ok_or("the primitive has no POSITION")?;
         let wanted = || {
-            let read = of.attributes.iter().filter_map(|(name, id)| Some((named(&p.attributes, name)?, *id)));
+            let read = of
+                .attributes
+                .iter()
+                .filter_map(|(name, id)| Some((named(&p.attributes, name)?, *id)));
             read.filter(|((role, a), _)| roles.contains(&(*role as usize, *a)))
         };
         // Primitives may share all of it.
-        let has = |role, accessor, from| self.get(role, accessor).is_some_and(|e: &Elements| e.from == from);
+        let has = |role, accessor, from| {
+            self.get(role, accessor)
+                .is_some_and(|e: &Elements| e.from == from)
+        };
         if has(Role::Indices, indices, (of.buffer_view, None))
             && wanted().all(|((role, a), id)| has(role, a, (of.buffer_view, Some(id))))
         {
@@ -95,10 +116,17 @@ impl Decoded {
         let limits = DecodeLimits::default()
             .with_max_faces((count(indices) / 3).min(u64::from(source.limits.triangles)))
             .with_max_points(count(position).min(3 * u64::from(source.limits.triangles)))
-            .with_max_decoded_bytes(count(position).saturating_mul(MOST_VERTEX_BYTES).min(self.left));
+            .with_max_decoded_bytes(
+                count(position)
+                    .saturating_mul(MOST_VERTEX_BYTES)
+                    .min(self.left),
+            );
         let mut mesh = Mesh::new();
         MeshDecoder::new()
-            .decode(&mut DecoderBuffer::new(bytes).with_limits(limits), &mut mesh)
+            .decode(
+                &mut DecoderBuffer::new(bytes).with_limits(limits),
+                &mut mesh,
+            )
             .map_err(|e| format!("it cannot be decoded: {e}"))?;
         let corners = mesh.faces().iter().flatten();
         let elements = Elements {
@@ -107,7 +135,11 @@ impl Decoded {
             count: mesh.num_faces() as u64 * 3,
             from: (of.buffer_view, None),
         };
-        self.insert((Role::Indices, indices), elements, root.accessors.get(indices))?;
+        self.insert(
+            (Role::Indices, indices),
+            elements,
+            root.accessors.get(indices),
+        )?;
         for ((role, accessor), id) in wanted() {
             let elements = attribute(&mesh, id, root, (role, accessor), of.buffer_view)
                 .map_err(|why| format!("attribute {id}: {why}"))?;
@@ -130,13 +162,23 @@ impl Decoded {
             ));
         }
         if sparse {
-            return Err(format!("accessor {accessor} is sparse, which a compressed one cannot be"));
+            return Err(format!(
+                "accessor {accessor} is sparse, which a compressed one cannot be"
+            ));
         }
         let bytes = elements.bytes.len() as u64;
-        self.left = self.left.checked_sub(bytes).ok_or("the compressed primitives are too large together")?;
-        let before = self.elements.get(&(role as usize, accessor)).map(|e| e.from);
+        self.left = self
+            .left
+            .checked_sub(bytes)
+            .ok_or("the compressed primitives are too large together")?;
+        let before = self
+            .elements
+            .get(&(role as usize, accessor))
+            .map(|e| e.from);
         if before.is_some_and(|from| from != elements.from) {
-            return Err(format!("accessor {accessor} belongs to another compressed primitive as well"));
+            return Err(format!(
+                "accessor {accessor} belongs to another compressed primitive as well"
+            ));
         }
         self.elements.insert((role as usize, accessor), elements);
         Ok(())
@@ -163,7 +205,9 @@ fn attribute(
     (role, accessor): (Role, usize),
     view: usize,
 ) -> Result<Elements, String> {
-    let found = mesh.attribute_by_unique_id(id).ok_or_else(|| format!("there is no attribute {id}"))?;
+    let found = mesh
+        .attribute_by_unique_id(id)
+        .ok_or_else(|| format!("there is no attribute {id}"))?;
     let component = match found.data_type() {
         DataType::Int8 => Component::I8,
         DataType::Uint8 => Component::U8,
@@ -174,10 +218,15 @@ fn attribute(
         other => return Err(format!("glTF has no components of type {other:?}")),
     };
     let (_, components) = role.shape();
-    let given = root.accessors.get(accessor).and_then(|a| Component::from_number(a.component_type));
+    let given = root
+        .accessors
+        .get(accessor)
+        .and_then(|a| Component::from_number(a.component_type));
     if given != Some(component) || u64::from(found.num_components()) != components {
         let n = found.num_components();
-        return Err(format!("{n} components of type {component:?} do not fit accessor {accessor}"));
+        return Err(format!(
+            "{n} components of type {component:?} do not fit accessor {accessor}"
+        ));
     }
     let size = (component.size() * components) as usize;
     let data = found.buffer().data();
@@ -185,8 +234,15 @@ fn attribute(
     let mut bytes = Vec::with_capacity(mesh.num_points().saturating_mul(size));
     for point in 0..mesh.num_points() as u32 {
         let value = found.mapped_index(PointIndex(point)).0 as usize;
-        let at = value.checked_mul(stride).and_then(|at| data.get(at..)?.get(..size));
+        let at = value
+            .checked_mul(stride)
+            .and_then(|at| data.get(at..)?.get(..size));
         bytes.extend_from_slice(at.ok_or_else(|| format!("it has no value for vertex {point}"))?);
     }
-    Ok(Elements { bytes, component, count: mesh.num_points() as u64, from: (view, Some(id)) })
+    Ok(Elements {
+        bytes,
+        component,
+        count: mesh.num_points() as u64,
+        from: (view, Some(id)),
+    })
 }

@@ -44,7 +44,11 @@ pub struct Extension {
 }
 
 const fn row(name: &'static str, support: Support, note: &'static str) -> Extension {
-    Extension { name, support, note }
+    Extension {
+        name,
+        support,
+        note,
+    }
 }
 
 /// The extensions that the loader knows: every ratified Khronos extension, common multi-vendor ones and a few
@@ -52,13 +56,22 @@ const fn row(name: &'static str, support: Support, note: &'static str) -> Extens
 pub const EXTENSIONS: &[Extension] = {
     use Support::{Irrelevant, Read, Refused};
     const SHADING: &str = "shading";
-    const IMAGES: &str = "an image format; the mask of `--alpha-textures` needs PNG or JPEG as well";
+    const IMAGES: &str =
+        "an image format; the mask of `--alpha-textures` needs PNG or JPEG as well";
     const LIGHTS: &str = "lights";
     const METADATA: &str = "metadata";
     &[
-        row("KHR_animation_pointer", Read, "a node that an animation moves, shows or hides is moving"),
+        row(
+            "KHR_animation_pointer",
+            Read,
+            "a node that an animation moves, shows or hides is moving",
+        ),
         row("KHR_draco_mesh_compression", Read, "compressed primitives"),
-        row("KHR_gaussian_splatting", Irrelevant, "splats are points, not triangles"),
+        row(
+            "KHR_gaussian_splatting",
+            Irrelevant,
+            "splats are points, not triangles",
+        ),
         row(
             "KHR_interactivity",
             Irrelevant,
@@ -67,7 +80,11 @@ pub const EXTENSIONS: &[Extension] = {
         row("KHR_lights_punctual", Irrelevant, LIGHTS),
         row("KHR_materials_anisotropy", Irrelevant, SHADING),
         row("KHR_materials_clearcoat", Irrelevant, SHADING),
-        row("KHR_materials_diffuse_transmission", Read, "a positive factor makes triangles see-through"),
+        row(
+            "KHR_materials_diffuse_transmission",
+            Read,
+            "a positive factor makes triangles see-through",
+        ),
         row("KHR_materials_dispersion", Irrelevant, SHADING),
         row("KHR_materials_emissive_strength", Irrelevant, SHADING),
         row("KHR_materials_ior", Irrelevant, SHADING),
@@ -75,42 +92,90 @@ pub const EXTENSIONS: &[Extension] = {
         row("KHR_materials_pbrSpecularGlossiness", Irrelevant, SHADING),
         row("KHR_materials_sheen", Irrelevant, SHADING),
         row("KHR_materials_specular", Irrelevant, SHADING),
-        row("KHR_materials_transmission", Read, "a positive factor makes triangles see-through"),
+        row(
+            "KHR_materials_transmission",
+            Read,
+            "a positive factor makes triangles see-through",
+        ),
         row("KHR_materials_unlit", Irrelevant, SHADING),
-        row("KHR_materials_variants", Irrelevant, "the material of the primitive itself decides"),
+        row(
+            "KHR_materials_variants",
+            Irrelevant,
+            "the material of the primitive itself decides",
+        ),
         row("KHR_materials_volume", Irrelevant, SHADING),
         row(QUANTIZATION, Read, "integer positions"),
-        row(MESHOPT[0], Read, "compressed buffer views, of version 0 and 1"),
+        row(
+            MESHOPT[0],
+            Read,
+            "compressed buffer views, of version 0 and 1",
+        ),
         row("KHR_node_hoverability", Irrelevant, "input of users"),
         row("KHR_node_selectability", Irrelevant, "input of users"),
-        row(VISIBILITY, Read, "the triangles of a hidden node neither block nor show"),
+        row(
+            VISIBILITY,
+            Read,
+            "the triangles of a hidden node neither block nor show",
+        ),
         row("KHR_texture_basisu", Irrelevant, IMAGES),
-        row("KHR_texture_transform", Read, "the texels of `--alpha-textures`"),
+        row(
+            "KHR_texture_transform",
+            Read,
+            "the texels of `--alpha-textures`",
+        ),
         row("KHR_xmp_json_ld", Irrelevant, METADATA),
-        row("EXT_mesh_gpu_instancing", Read, "an object for each instance"),
+        row(
+            "EXT_mesh_gpu_instancing",
+            Read,
+            "an object for each instance",
+        ),
         row(MESHOPT[1], Read, "compressed buffer views"),
         row("EXT_texture_webp", Irrelevant, IMAGES),
         row("EXT_instance_features", Irrelevant, METADATA),
         row("EXT_mesh_features", Irrelevant, METADATA),
         row("EXT_mesh_manifold", Irrelevant, METADATA),
-        row("EXT_mesh_primitive_edge_visibility", Irrelevant, "lines, which are not surfaces"),
-        row("EXT_mesh_primitive_restart", Refused, "indices that begin another strip or fan"),
+        row(
+            "EXT_mesh_primitive_edge_visibility",
+            Irrelevant,
+            "lines, which are not surfaces",
+        ),
+        row(
+            "EXT_mesh_primitive_restart",
+            Refused,
+            "indices that begin another strip or fan",
+        ),
         row("EXT_structural_metadata", Irrelevant, METADATA),
         row("EXT_texture_astc", Irrelevant, IMAGES),
         row("EXT_texture_avif", Irrelevant, IMAGES),
-        row("CESIUM_primitive_outline", Irrelevant, "lines, which are not surfaces"),
+        row(
+            "CESIUM_primitive_outline",
+            Irrelevant,
+            "lines, which are not surfaces",
+        ),
         row("CESIUM_RTC", Refused, "an offset of all positions"),
         row("FB_geometry_metadata", Irrelevant, METADATA),
         row("GODOT_single_root", Irrelevant, METADATA),
-        row("KHR_accessor_float64", Refused, "positions in double precision"),
+        row(
+            "KHR_accessor_float64",
+            Refused,
+            "positions in double precision",
+        ),
         row("KHR_audio", Irrelevant, "sound"),
         row("KHR_audio_emitter", Irrelevant, "sound"),
-        row("KHR_techniques_webgl", Refused, "shaders that place vertices"),
+        row(
+            "KHR_techniques_webgl",
+            Refused,
+            "shaders that place vertices",
+        ),
         row("KHR_xmp", Irrelevant, METADATA),
         row("MSFT_lod", Refused, "the coarser levels of detail"),
         row("MSFT_texture_dds", Irrelevant, IMAGES),
         row("NV_materials_mdl", Irrelevant, SHADING),
-        row("SIGHTLINE_visibility", Irrelevant, "the sets that `export` writes"),
+        row(
+            "SIGHTLINE_visibility",
+            Irrelevant,
+            "the sets that `export` writes",
+        ),
         row("ADOBE_materials_*", Irrelevant, SHADING),
         row("AGI_*", Irrelevant, METADATA),
         row("EXT_lights_*", Irrelevant, LIGHTS),
@@ -120,7 +185,11 @@ pub const EXTENSIONS: &[Extension] = {
         row("KHR_materials_*", Irrelevant, SHADING),
         row("KHR_texture_*", Irrelevant, "textures"),
         row("MSFT_packing_*", Irrelevant, "textures"),
-        row("VRMC_*", Irrelevant, "avatars, whose skinned meshes are moving"),
+        row(
+            "VRMC_*",
+            Irrelevant,
+            "avatars, whose skinned meshes are moving",
+        ),
     ]
 };
 
@@ -129,15 +198,30 @@ const MOST_NAMED: usize = 16;
 
 /// Returns the row of an extension: the row with its name, otherwise the row of its family.
 fn find(name: &str) -> Option<&'static Extension> {
-    let family = |e: &&Extension| e.name.strip_suffix('*').is_some_and(|prefix| name.starts_with(prefix));
-    EXTENSIONS.iter().find(|e| e.name == name).or_else(|| EXTENSIONS.iter().find(family))
+    let family = |e: &&Extension| {
+        e.name
+            .strip_suffix('*')
+            .is_some_and(|prefix| name.starts_with(prefix))
+    };
+    EXTENSIONS
+        .iter()
+        .find(|e| e.name == name)
+        .or_else(|| EXTENSIONS.iter().find(family))
 }
 
 /// Rejects a file that requires an extension which the loader does not support, and warns of each unsupported
 /// extension that the file uses.
-pub(super) fn check(source: &Source<'_>, root: &json::Root, marks: &mut Marks) -> Result<(), SceneError> {
+pub(super) fn check(
+    source: &Source<'_>,
+    root: &json::Root,
+    marks: &mut Marks,
+) -> Result<(), SceneError> {
     let supported = |name: &str| find(name).is_some_and(|e| e.support != Support::Refused);
-    if let Some(name) = root.extensions_required.iter().find(|name| !supported(name)) {
+    if let Some(name) = root
+        .extensions_required
+        .iter()
+        .find(|name| !supported(name))
+    {
         let shown = shown(name);
         return Err(SceneError::bad(
             source.file,
@@ -146,8 +230,12 @@ pub(super) fn check(source: &Source<'_>, root: &json::Root, marks: &mut Marks) -
             format!("export it again without {shown}"),
         ));
     }
-    let unread: BTreeSet<&str> =
-        root.extensions_used.iter().map(String::as_str).filter(|name| !supported(name)).collect();
+    let unread: BTreeSet<&str> = root
+        .extensions_used
+        .iter()
+        .map(String::as_str)
+        .filter(|name| !supported(name))
+        .collect();
     for name in unread.iter().take(MOST_NAMED) {
         let reason = match find(name) {
             Some(row) => format!("is not read ({})", row.note),
@@ -160,7 +248,10 @@ pub(super) fn check(source: &Source<'_>, root: &json::Root, marks: &mut Marks) -
         ));
     }
     if unread.len() > MOST_NAMED {
-        marks.warn(format!("the file uses {} more extensions that are not read", unread.len() - MOST_NAMED));
+        marks.warn(format!(
+            "the file uses {} more extensions that are not read",
+            unread.len() - MOST_NAMED
+        ));
     }
     Ok(())
 }

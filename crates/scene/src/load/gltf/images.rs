@@ -64,17 +64,26 @@ impl Document {
 
     /// The buffer views of the images of these textures, as far as there are such images.
     pub(super) fn views(&self, textures: impl Iterator<Item = usize>) -> Vec<usize> {
-        textures.filter_map(|t| self.image(t).ok()?.field.buffer_view).collect()
+        textures
+            .filter_map(|t| self.image(t).ok()?.field.buffer_view)
+            .collect()
     }
 
     /// The image of a texture; the fault in words when it has none that is there.
     pub(super) fn image(&self, texture: usize) -> Result<Image<'_>, String> {
         let count = self.textures.len();
-        let of = self.textures.get(texture).ok_or(format!("there are {count} textures"))?;
+        let of = self
+            .textures
+            .get(texture)
+            .ok_or(format!("there are {count} textures"))?;
         let number = of.source.ok_or_else(|| {
             // Images of other formats are in an extension. Many files have a PNG or JPEG beside them.
             let extensions = of.extensions.as_ref().and_then(Value::as_object);
-            let names: Vec<String> = extensions.into_iter().flat_map(|e| e.keys()).cloned().collect();
+            let names: Vec<String> = extensions
+                .into_iter()
+                .flat_map(|e| e.keys())
+                .cloned()
+                .collect();
             match names.is_empty() {
                 true => "it names no image".to_owned(),
                 false => {
@@ -84,12 +93,17 @@ impl Document {
             }
         })?;
         let count = self.images.len();
-        let field = self.images.get(number).ok_or(format!("it names image {number} of {count}"))?;
+        let field = self
+            .images
+            .get(number)
+            .ok_or(format!("it names image {number} of {count}"))?;
         let sampler = match of.sampler {
             None => None,
-            Some(s) => {
-                Some(self.samplers.get(s).ok_or(format!("it names sampler {s} of {}", self.samplers.len()))?)
-            }
+            Some(s) => Some(
+                self.samplers
+                    .get(s)
+                    .ok_or(format!("it names sampler {s} of {}", self.samplers.len()))?,
+            ),
         };
         let wrap = |mode: Option<u32>| match mode {
             None | Some(10497) => Ok(Wrap::Repeat),
@@ -97,17 +111,32 @@ impl Document {
             Some(33071) => Ok(Wrap::Clamp),
             Some(other) => Err(format!("its sampler has the unknown wrap mode {other}")),
         };
-        let wrap = [wrap(sampler.and_then(|s| s.wrap_s))?, wrap(sampler.and_then(|s| s.wrap_t))?];
-        Ok(Image { number, field, wrap })
+        let wrap = [
+            wrap(sampler.and_then(|s| s.wrap_s))?,
+            wrap(sampler.and_then(|s| s.wrap_t))?,
+        ];
+        Ok(Image {
+            number,
+            field,
+            wrap,
+        })
     }
 }
 
 impl<'a> Image<'a> {
     /// Its number and name, or the name of its file.
     pub(super) fn label(&self) -> String {
-        let uri = self.field.uri.as_deref().filter(|uri| !uri.starts_with("data:"));
+        let uri = self
+            .field
+            .uri
+            .as_deref()
+            .filter(|uri| !uri.starts_with("data:"));
         match uri.or(self.field.name.as_deref()) {
-            Some(name) => format!("image {} ({})", self.number, name.chars().take(80).collect::<String>()),
+            Some(name) => format!(
+                "image {} ({})",
+                self.number,
+                name.chars().take(80).collect::<String>()
+            ),
             None => format!("image {}", self.number),
         }
     }

@@ -18,7 +18,10 @@ pub(super) fn expand(
     accessors: &Accessors<'_>,
     draws: Vec<Draw>,
 ) -> Result<Vec<Draw>, SceneError> {
-    if draws.iter().all(|d| root.nodes[d.node].instances().is_none()) {
+    if draws
+        .iter()
+        .all(|d| root.nodes[d.node].instances().is_none())
+    {
         return Ok(draws);
     }
     let mut all = Vec::new();
@@ -28,20 +31,27 @@ pub(super) fn expand(
             continue;
         };
         let element = User::Instances { node: draw.node }.to_string();
-        let count = count(accessors, attributes).map_err(|why| source.bad(element.as_str(), why))?;
+        let count =
+            count(accessors, attributes).map_err(|why| source.bad(element.as_str(), why))?;
         if all.len() as u64 + count > u64::from(source.limits.objects) {
             return Err(too_many_objects(source.file, element, source.limits));
         }
         for i in 0..count {
             let local = local(accessors, attributes, i);
-            let world = local.map(|local| draw.world * local).filter(DAffine3::is_finite);
+            let world = local
+                .map(|local| draw.world * local)
+                .filter(DAffine3::is_finite);
             let world = world.ok_or_else(|| {
                 source.bad(
                     element.as_str(),
                     format!("the transform of instance {i} is no finite rotation and scale"),
                 )
             })?;
-            all.push(Draw { instance: Some(i), world, ..draw.clone() });
+            all.push(Draw {
+                instance: Some(i),
+                world,
+                ..draw.clone()
+            });
         }
     }
     Ok(all)
@@ -49,15 +59,19 @@ pub(super) fn expand(
 
 /// The number of instances, which all attributes agree on.
 fn count(accessors: &Accessors<'_>, attributes: &InstanceAttributes) -> Result<u64, String> {
-    let offsets =
-        [attributes.translation, attributes.scale].into_iter().flatten().map(|a| (Role::Offsets, a));
+    let offsets = [attributes.translation, attributes.scale]
+        .into_iter()
+        .flatten()
+        .map(|a| (Role::Offsets, a));
     let all = offsets.chain(attributes.rotation.map(|a| (Role::Rotations, a)));
     let mut counts = all.map(|(role, a)| accessors.get(role, a).count());
-    let first = counts.next().ok_or("it has neither TRANSLATION, ROTATION nor SCALE")?;
+    let first = counts
+        .next()
+        .ok_or("it has neither TRANSLATION, ROTATION nor SCALE")?;
     match counts.find(|n| *n != first) {
-        Some(other) => {
-            Err(format!("its attributes have {first} and {other} elements, and must have the same number"))
-        }
+        Some(other) => Err(format!(
+            "its attributes have {first} and {other} elements, and must have the same number"
+        )),
         None => Ok(first),
     }
 }
@@ -65,6 +79,12 @@ fn count(accessors: &Accessors<'_>, attributes: &InstanceAttributes) -> Result<u
 /// The transform of an instance relative to its node; none if the rotation is no quaternion.
 fn local(accessors: &Accessors<'_>, attributes: &InstanceAttributes, i: u64) -> Option<DAffine3> {
     let offset = |a: Option<usize>| a.map(|a| accessors.get(Role::Offsets, a).position(i));
-    let rotation = attributes.rotation.map(|a| accessors.get(Role::Rotations, a).quaternion(i));
-    transform::compose(offset(attributes.translation), rotation, offset(attributes.scale))
+    let rotation = attributes
+        .rotation
+        .map(|a| accessors.get(Role::Rotations, a).quaternion(i));
+    transform::compose(
+        offset(attributes.translation),
+        rotation,
+        offset(attributes.scale),
+    )
 }

@@ -168,13 +168,22 @@ pub(super) struct Attributes {
 impl Attributes {
     /// The accessor of a set of texture coordinates. Of these the first four can be named.
     pub(super) fn coordinates(&self, set: u64) -> Option<usize> {
-        [self.texcoord_0, self.texcoord_1, self.texcoord_2, self.texcoord_3].get(set as usize).copied()?
+        [
+            self.texcoord_0,
+            self.texcoord_1,
+            self.texcoord_2,
+            self.texcoord_3,
+        ]
+        .get(set as usize)
+        .copied()?
     }
 }
 
 /// An index, or none for any other JSON: a fault in an attribute that most scenes do not need refuses none.
 fn index<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<usize>, D::Error> {
-    Ok(Value::deserialize(from)?.as_u64().and_then(|n| usize::try_from(n).ok()))
+    Ok(Value::deserialize(from)?
+        .as_u64()
+        .and_then(|n| usize::try_from(n).ok()))
 }
 
 #[derive(Debug, Deserialize)]

@@ -25,13 +25,22 @@ pub(super) struct Extras {
 impl Extras {
     /// These fields, and those of `outer` where they are not given.
     pub(super) fn or(self, outer: Self) -> Self {
-        Self { blocks: self.blocks.or(outer.blocks), shows: self.shows.or(outer.shows) }
+        Self {
+            blocks: self.blocks.or(outer.blocks),
+            shows: self.shows.or(outer.shows),
+        }
     }
 
     /// The fields of an element's extras. `element` names it in warnings.
-    pub(super) fn read(extras: Option<&Value>, element: impl Fn() -> String, marks: &mut Marks) -> Self {
+    pub(super) fn read(
+        extras: Option<&Value>,
+        element: impl Fn() -> String,
+        marks: &mut Marks,
+    ) -> Self {
         let mut out = Self::default();
-        let Some(own) = extras.and_then(|e| e.get("sightline")) else { return out };
+        let Some(own) = extras.and_then(|e| e.get("sightline")) else {
+            return out;
+        };
         let Some(fields) = own.as_object() else {
             marks.warn(format!(
                 "{}: extras.sightline is no object; give {{\"blocks\": …, \"shows\": …}}",
@@ -54,7 +63,10 @@ impl Extras {
             };
             *field = value.as_bool();
             if field.is_none() {
-                marks.warn(format!("{}: extras.sightline.{key} is neither true nor false", element()));
+                marks.warn(format!(
+                    "{}: extras.sightline.{key} is neither true nor false",
+                    element()
+                ));
             }
         }
         out
@@ -74,12 +86,19 @@ pub(super) struct Material {
 }
 
 /// The materials of a file.
-pub(super) fn materials(source: &Source<'_>, root: &json::Root, marks: &mut Marks) -> Vec<Material> {
+pub(super) fn materials(
+    source: &Source<'_>,
+    root: &json::Root,
+    marks: &mut Marks,
+) -> Vec<Material> {
     let materials = root.materials.iter().enumerate();
     materials
         .map(|(number, m)| {
             let factor = |extension: &str, factor: &str| -> bool {
-                let given = m.get("extensions").and_then(|e| e.get(extension)).and_then(|e| e.get(factor));
+                let given = m
+                    .get("extensions")
+                    .and_then(|e| e.get(extension))
+                    .and_then(|e| e.get(factor));
                 given.and_then(Value::as_f64).is_some_and(|f| f > 0.0)
             };
             let see_through = match m.get("alphaMode").and_then(Value::as_str) {
@@ -88,21 +107,39 @@ pub(super) fn materials(source: &Source<'_>, root: &json::Root, marks: &mut Mark
                 _ if factor("KHR_materials_transmission", "transmissionFactor") => {
                     Some("KHR_materials_transmission")
                 }
-                _ if factor("KHR_materials_diffuse_transmission", "diffuseTransmissionFactor") => {
+                _ if factor(
+                    "KHR_materials_diffuse_transmission",
+                    "diffuseTransmissionFactor",
+                ) =>
+                {
                     Some("KHR_materials_diffuse_transmission")
                 }
                 _ => None,
             };
-            let name = m.get("name").and_then(Value::as_str).unwrap_or_default().to_owned();
+            let name = m
+                .get("name")
+                .and_then(Value::as_str)
+                .unwrap_or_default()
+                .to_owned();
             let extras = Extras::read(m.get("extras"), || format!("material {number}"), marks);
             let masked = source.alpha_textures && see_through == Some(MASK);
             let label = match name.as_str() {
                 "" => format!("material {number}"),
-                name => format!("material {number} ({})", name.chars().take(80).collect::<String>()),
+                name => format!(
+                    "material {number} ({})",
+                    name.chars().take(80).collect::<String>()
+                ),
             };
             let double_sided = m.get("doubleSided").and_then(Value::as_bool) == Some(true);
             let alpha = masked.then(|| Alpha::read(m));
-            Material { name, label, double_sided, see_through, alpha, extras }
+            Material {
+                name,
+                label,
+                double_sided,
+                see_through,
+                alpha,
+                extras,
+            }
         })
         .collect()
 }
@@ -126,17 +163,33 @@ impl Animations {
 /// Returns the properties of each node itself that animations change; its descendants change with it.
 pub(super) fn animations(root: &json::Root) -> Vec<Animations> {
     let mut all = vec![Animations::default(); root.nodes.len()];
-    let channels = root.animations.iter().filter_map(|a| a.get("channels")?.as_array()).flatten();
+    let channels = root
+        .animations
+        .iter()
+        .filter_map(|a| a.get("channels")?.as_array())
+        .flatten();
     for target in channels.filter_map(|c| c.get("target")) {
         let pointer = || {
-            let pointer = target.get("extensions")?.get("KHR_animation_pointer")?.get("pointer")?.as_str()?;
+            let pointer = target
+                .get("extensions")?
+                .get("KHR_animation_pointer")?
+                .get("pointer")?
+                .as_str()?;
             let path = pointer.strip_prefix("/nodes/")?;
             let (node, property) = path.split_once('/').unwrap_or((path, ""));
-            let visibility = property.strip_prefix("extensions/").and_then(|p| p.strip_prefix(VISIBILITY));
+            let visibility = property
+                .strip_prefix("extensions/")
+                .and_then(|p| p.strip_prefix(VISIBILITY));
             Some((node.parse::<u64>().ok()?, visibility.is_some()))
         };
-        let target = target.get("node").and_then(Value::as_u64).map(|node| (node, false)).or_else(pointer);
-        let Some((node, visibility)) = target else { continue };
+        let target = target
+            .get("node")
+            .and_then(Value::as_u64)
+            .map(|node| (node, false))
+            .or_else(pointer);
+        let Some((node, visibility)) = target else {
+            continue;
+        };
         if let Some(of) = usize::try_from(node).ok().and_then(|n| all.get_mut(n)) {
             of.moves |= !visibility;
             of.visibility |= visibility;
@@ -153,17 +206,31 @@ pub(super) fn material_of<'a>(
     marks: &mut Marks,
 ) -> Option<&'a Material> {
     let given = primitive.material.as_ref()?;
-    let found = given.as_u64().and_then(|m| materials.get(usize::try_from(m).ok()?));
+    let found = given
+        .as_u64()
+        .and_then(|m| materials.get(usize::try_from(m).ok()?));
     if found.is_none() {
-        marks.warn(format!("{}: it names material {given} of {}", label(), materials.len()));
+        marks.warn(format!(
+            "{}: it names material {given} of {}",
+            label(),
+            materials.len()
+        ));
     }
     found
 }
 
 /// What the material of a primitive says about alpha, when textures are read and it has a mask.
-pub(super) fn alpha_of<'a>(primitive: &json::Primitive, materials: &'a [Material]) -> Option<&'a Alpha> {
+pub(super) fn alpha_of<'a>(
+    primitive: &json::Primitive,
+    materials: &'a [Material],
+) -> Option<&'a Alpha> {
     let number = primitive.material.as_ref()?.as_u64()?;
-    materials.get(usize::try_from(number).ok()?)?.alpha.as_ref()?.as_ref().ok()
+    materials
+        .get(usize::try_from(number).ok()?)?
+        .alpha
+        .as_ref()?
+        .as_ref()
+        .ok()
 }
 
 /// Returns the mark of a primitive's triangles: [`Kind::Masked`] if their mask is to be read.
@@ -179,17 +246,31 @@ pub(super) fn mark(
     } else if animated {
         Mark::of(Kind::Moving, "animated node")
     } else if let Some((m, reason)) = material.and_then(|m| Some((m, m.see_through?))) {
-        Mark::of(if m.alpha.is_some() { Kind::Masked } else { Kind::SeeThrough }, reason)
+        Mark::of(
+            if m.alpha.is_some() {
+                Kind::Masked
+            } else {
+                Kind::SeeThrough
+            },
+            reason,
+        )
     } else {
         Mark::DEFAULT
     };
-    let extras = material.map(|m| m.extras).unwrap_or_default().or(mesh).or(node);
+    let extras = material
+        .map(|m| m.extras)
+        .unwrap_or_default()
+        .or(mesh)
+        .or(node);
     // Extras that leave open whether it blocks, and let it show, say nothing against a mask.
-    let masked = file.kind == Kind::Masked && extras.blocks.is_none() && extras.shows != Some(false);
+    let masked =
+        file.kind == Kind::Masked && extras.blocks.is_none() && extras.shows != Some(false);
     if extras == Extras::default() || masked {
         return file;
     }
-    let (blocks, shows) =
-        (extras.blocks.unwrap_or(file.kind.blocks()), extras.shows.unwrap_or(file.kind.shows()));
+    let (blocks, shows) = (
+        extras.blocks.unwrap_or(file.kind.blocks()),
+        extras.shows.unwrap_or(file.kind.shows()),
+    );
     Mark::of(Kind::of(blocks, shows), "extras.sightline")
 }

@@ -60,7 +60,17 @@ pub(super) fn parse_json(
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
     let alpha_textures = marks.reads_alpha();
-    build(&Source { file, base_dir, limits, alpha_textures }, bytes, None, marks)
+    build(
+        &Source {
+            file,
+            base_dir,
+            limits,
+            alpha_textures,
+        },
+        bytes,
+        None,
+        marks,
+    )
 }
 
 /// Reads a `.glb` file: a header, a chunk of JSON and at most one chunk of binary data that buffer 0 means.
@@ -73,27 +83,43 @@ pub(super) fn parse_glb(
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
     let bad = |element: &str, reason: String| SceneError::bad(file, element, reason, EXPORT_AGAIN);
-    let word = |at: usize| bytes.get(at..)?.first_chunk::<4>().map(|b| u32::from_le_bytes(*b));
+    let word = |at: usize| {
+        bytes
+            .get(at..)?
+            .first_chunk::<4>()
+            .map(|b| u32::from_le_bytes(*b))
+    };
     let (Some(version), Some(length)) = (word(4), word(8)) else {
         return Err(bad("GLB header", "the file ends within it".to_owned()));
     };
     if version != 2 {
-        return Err(bad("GLB header", format!("its version is {version}, and must be 2")));
+        return Err(bad(
+            "GLB header",
+            format!("its version is {version}, and must be 2"),
+        ));
     }
     let Some(bytes) = bytes.get(..length as usize) else {
-        let reason = format!("it announces {length} bytes, but the file has {}", bytes.len());
+        let reason = format!(
+            "it announces {length} bytes, but the file has {}",
+            bytes.len()
+        );
         return Err(bad("GLB header", reason));
     };
     let mut json = None;
     let mut binary = None;
     let mut at = 12;
     for chunk in 0.. {
-        let Some(head) = bytes.get(at..).and_then(|b| b.first_chunk::<8>()) else { break };
+        let Some(head) = bytes.get(at..).and_then(|b| b.first_chunk::<8>()) else {
+            break;
+        };
         let [l0, l1, l2, l3, kind @ ..] = *head;
         let len = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
         at += 8;
         let Some(data) = at.checked_add(len).and_then(|end| bytes.get(at..end)) else {
-            let reason = format!("it announces {len} bytes, but {} are left", bytes.len() - at);
+            let reason = format!(
+                "it announces {len} bytes, but {} are left",
+                bytes.len() - at
+            );
             return Err(bad(&format!("GLB chunk {chunk}"), reason));
         };
         match (chunk, &kind) {
@@ -106,7 +132,17 @@ pub(super) fn parse_glb(
     }
     let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
     let alpha_textures = marks.reads_alpha();
-    build(&Source { file, base_dir, limits, alpha_textures }, json, binary, marks)
+    build(
+        &Source {
+            file,
+            base_dir,
+            limits,
+            alpha_textures,
+        },
+        json,
+        binary,
+        marks,
+    )
 }
 
 fn build(
@@ -122,8 +158,16 @@ fn build(
     extensions::check(source, &root, marks)?;
 
     let materials = kinds::materials(source, &root, marks);
-    let document = if source.alpha_textures { Document::read(source, json)? } else { Document::default() };
-    let images = document.views(materials.iter().filter_map(|m| m.alpha.as_ref()?.as_ref().ok()?.texture));
+    let document = if source.alpha_textures {
+        Document::read(source, json)?
+    } else {
+        Document::default()
+    };
+    let images = document.views(
+        materials
+            .iter()
+            .filter_map(|m| m.alpha.as_ref()?.as_ref().ok()?.texture),
+    );
     let draws = nodes::walk(source, &root, marks)?;
     let buffers = Buffers::read(source, &root, json, binary, &draws, (&materials, &images))?;
     let used = uses::uses(source, &root, &draws, &materials)?;
@@ -139,33 +183,57 @@ fn build(
     let mut masked = Vec::new();
     for draw in &draws {
         let mesh = &root.meshes[draw.mesh];
-        let extras = kinds::Extras::read(mesh.extras.as_deref(), || format!("mesh {}", draw.mesh), marks);
+        let extras = kinds::Extras::read(
+            mesh.extras.as_deref(),
+            || format!("mesh {}", draw.mesh),
+            marks,
+        );
         for (p, part) in mesh.primitives.iter().enumerate() {
             if objects.len() >= source.limits.objects as usize {
-                return Err(too_many_objects(source.file, primitive::label(draw, p), source.limits));
+                return Err(too_many_objects(
+                    source.file,
+                    primitive::label(draw, p),
+                    source.limits,
+                ));
             }
             let count = primitive::count(source, &root, &accessors, draw, p)?;
             let first = total;
             total = total.saturating_add(count);
             if total > u64::from(source.limits.triangles) {
-                return Err(too_many_triangles(source.file, primitive::label(draw, p), source.limits));
+                return Err(too_many_triangles(
+                    source.file,
+                    primitive::label(draw, p),
+                    source.limits,
+                ));
             }
             let name = names.unique(object_name(&root, draw, p));
-            let material = kinds::material_of(part, &materials, || primitive::label(draw, p), marks);
+            let material =
+                kinds::material_of(part, &materials, || primitive::label(draw, p), marks);
             let mark = match draw.hidden {
                 true => Mark::HIDDEN,
-                false => kinds::mark((draw.skinned, draw.animated), (draw.extras, extras), material),
+                false => kinds::mark(
+                    (draw.skinned, draw.animated),
+                    (draw.extras, extras),
+                    material,
+                ),
             };
             let own = |name: &'_ Option<String>| name.clone().unwrap_or_default();
-            let (node, material_name) =
-                (own(&root.nodes[draw.node].name), material.map_or("", |m| m.name.as_str()));
+            let (node, material_name) = (
+                own(&root.nodes[draw.node].name),
+                material.map_or("", |m| m.name.as_str()),
+            );
             let alpha = material.and_then(|m| Some((m, m.alpha.as_ref()?)));
             let double_sided = material.is_some_and(|m| m.double_sided);
             marks.push_side(count as u32, Side::of(double_sided, draw.mirrors()));
             // Both are at most `limits.triangles`, a u32.
             let (first, count) = (first as u32, count as u32);
             let mesh_name = own(&mesh.name);
-            let names = [name.as_str(), node.as_str(), mesh_name.as_str(), material_name];
+            let names = [
+                name.as_str(),
+                node.as_str(),
+                mesh_name.as_str(),
+                material_name,
+            ];
             let mut mark = marks.decide(&names, mark);
             if let (Kind::Masked, true, Some((of, given))) = (mark.kind, count > 0, alpha) {
                 match textures.resolve(&accessors, draw, p, (&of.label, given), marks)? {
@@ -188,8 +256,8 @@ fn build(
         }
     }
     // Zeroed by the system, page by page as the readers come to them.
-    let mut triangles: Vec<Triangle> =
-        bytemuck::allocation::try_zeroed_vec(total as usize).map_err(|()| {
+    let mut triangles: Vec<Triangle> = bytemuck::allocation::try_zeroed_vec(total as usize)
+        .map_err(|()| {
             SceneError::bad(
                 source.file,
                 "scene",
@@ -198,7 +266,9 @@ fn build(
             )
         })?;
     // In the order in which they were counted.
-    let parts = draws.iter().flat_map(|d| (0..root.meshes[d.mesh].primitives.len()).map(move |p| (d, p)));
+    let parts = draws
+        .iter()
+        .flat_map(|d| (0..root.meshes[d.mesh].primitives.len()).map(move |p| (d, p)));
     let mut rest = triangles.as_mut_slice();
     let mut work = Vec::with_capacity(objects.len());
     for ((draw, p), object) in parts.zip(&objects) {
@@ -207,9 +277,9 @@ fn build(
         rest = others;
     }
     // Of several faults, the first in the file is reported.
-    let wrong = work
-        .into_par_iter()
-        .find_map_first(|(draw, p, own)| primitive::read(source, &root, &accessors, draw, p, own).err());
+    let wrong = work.into_par_iter().find_map_first(|(draw, p, own)| {
+        primitive::read(source, &root, &accessors, draw, p, own).err()
+    });
     if let Some(wrong) = wrong {
         return Err(wrong);
     }
@@ -220,7 +290,11 @@ fn build(
         let which = (*draw, *p, part.count);
         primitive::coordinates(source, &root, &accessors, which, alpha, &mut coordinates)?;
     }
-    marks.set_masks(Masks::new(textures.into_masks(), masked.iter().map(|m| m.3).collect(), coordinates));
+    marks.set_masks(Masks::new(
+        textures.into_masks(),
+        masked.iter().map(|m| m.3).collect(),
+        coordinates,
+    ));
     Scene::new(source.file, triangles, objects)?.with_sources(source.file, sources)
 }
 
@@ -237,7 +311,12 @@ fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneErro
     let asked = asset.min_version.as_ref().unwrap_or(&asset.version);
     let shown: String = asked.chars().take(20).collect();
     let reason = format!("it needs glTF {shown}, and 2.0 is what is understood");
-    Err(SceneError::bad(source.file, "asset", reason, "export it again as glTF 2.0"))
+    Err(SceneError::bad(
+        source.file,
+        "asset",
+        reason,
+        "export it again as glTF 2.0",
+    ))
 }
 
 /// `node/mesh#primitive`, with numbers for what has no name, and `node[instance]` for a node with instances.

@@ -50,20 +50,31 @@ pub(super) fn walk(
     let mut draws = Vec::new();
     let animations = kinds::animations(root);
     let start = |n: &usize| (*n, DAffine3::IDENTITY, [false; 2], Extras::default());
-    let mut stack: Vec<(usize, DAffine3, [bool; 2], Extras)> = roots.iter().rev().map(start).collect();
+    let mut stack: Vec<(usize, DAffine3, [bool; 2], Extras)> =
+        roots.iter().rev().map(start).collect();
     while let Some((n, parent, [moves, hides], outer)) = stack.pop() {
         let element = format!("node {n}");
         let Some(node) = root.nodes.get(n) else {
-            return Err(source.bad(element, format!("it is named, but there are {} nodes", root.nodes.len())));
+            return Err(source.bad(
+                element,
+                format!("it is named, but there are {} nodes", root.nodes.len()),
+            ));
         };
         if std::mem::replace(&mut met[n], true) {
             let reason = "it is reached twice: the nodes form a cycle, or it has two parents";
             return Err(source.bad(element, reason));
         }
         let local = transform::local(node).map_err(|why| source.bad(element.as_str(), why))?;
-        let world = if parent == DAffine3::IDENTITY { local } else { parent * local };
+        let world = if parent == DAffine3::IDENTITY {
+            local
+        } else {
+            parent * local
+        };
         if !world.is_finite() {
-            return Err(source.bad(element, "its transform, with those of its parents, is not finite"));
+            return Err(source.bad(
+                element,
+                "its transform, with those of its parents, is not finite",
+            ));
         }
         let animated = moves || animations[n].any();
         let hidden = hides || (node.is_hidden() && !animations[n].visibility);
@@ -74,9 +85,23 @@ pub(super) fn walk(
                 return Err(source.bad(element, reason));
             }
             let skinned = node.skin.is_some();
-            draws.push(Draw { node: n, instance: None, mesh, world, animated, hidden, skinned, extras });
+            draws.push(Draw {
+                node: n,
+                instance: None,
+                mesh,
+                world,
+                animated,
+                hidden,
+                skinned,
+                extras,
+            });
         }
-        stack.extend(node.children.iter().rev().map(|c| (*c, world, [animated, hidden], extras)));
+        stack.extend(
+            node.children
+                .iter()
+                .rev()
+                .map(|c| (*c, world, [animated, hidden], extras)),
+        );
     }
     Ok(draws)
 }
@@ -87,7 +112,10 @@ fn roots(source: &Source<'_>, root: &json::Root) -> Result<Vec<usize>, SceneErro
         return Ok(scene.nodes.clone());
     }
     if let Some(n) = root.scene {
-        return Err(source.bad("scene", format!("it names scene {n} of {}", root.scenes.len())));
+        return Err(source.bad(
+            "scene",
+            format!("it names scene {n} of {}", root.scenes.len()),
+        ));
     }
     let mut is_child = vec![false; root.nodes.len()];
     for child in root.nodes.iter().flat_map(|n| &n.children) {
@@ -97,7 +125,10 @@ fn roots(source: &Source<'_>, root: &json::Root) -> Result<Vec<usize>, SceneErro
     }
     let roots: Vec<usize> = (0..root.nodes.len()).filter(|n| !is_child[*n]).collect();
     if roots.is_empty() && !root.nodes.is_empty() {
-        return Err(source.bad("nodes", "every node is a child of another, so they form a cycle"));
+        return Err(source.bad(
+            "nodes",
+            "every node is a child of another, so they form a cycle",
+        ));
     }
     Ok(roots)
 }

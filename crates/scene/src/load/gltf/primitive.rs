@@ -31,7 +31,9 @@ pub(super) fn count(
 ) -> Result<u64, SceneError> {
     let primitive = &root.meshes[draw.mesh].primitives[p];
     let bad = |why: String| source.bad(label(draw, p), why);
-    let Some(position) = surface(primitive).map_err(bad)? else { return Ok(0) };
+    let Some(position) = surface(primitive).map_err(bad)? else {
+        return Ok(0);
+    };
     let corners = match primitive.indices {
         Some(i) => accessors.get(Role::Indices, i).count(),
         None => accessors.get(Role::Positions, position).count(),
@@ -39,11 +41,13 @@ pub(super) fn count(
     match mode(primitive).map_err(bad)? {
         Mode::NoSurface => Ok(0),
         Mode::Triangles if corners % 3 == 0 => Ok(corners / 3),
-        Mode::Triangles => Err(bad(format!("its {corners} corners are not a multiple of three"))),
+        Mode::Triangles => Err(bad(format!(
+            "its {corners} corners are not a multiple of three"
+        ))),
         Mode::Strip | Mode::Fan if corners >= 3 => Ok(corners - 2),
-        Mode::Strip | Mode::Fan => {
-            Err(bad(format!("a strip or fan needs three corners and it has {corners}")))
-        }
+        Mode::Strip | Mode::Fan => Err(bad(format!(
+            "a strip or fan needs three corners and it has {corners}"
+        ))),
     }
 }
 
@@ -58,25 +62,34 @@ pub(super) fn read(
     out: &mut [Triangle],
 ) -> Result<(), SceneError> {
     let primitive = &root.meshes[draw.mesh].primitives[p];
-    let (Some(position), false) = (primitive.attributes.position, out.is_empty()) else { return Ok(()) };
+    let (Some(position), false) = (primitive.attributes.position, out.is_empty()) else {
+        return Ok(());
+    };
     let corners = Corners {
         source,
         draw,
         p,
         position,
         positions: accessors.get(Role::Positions, position),
-        indices: primitive.indices.map(|i| (i, accessors.get(Role::Indices, i))),
+        indices: primitive
+            .indices
+            .map(|i| (i, accessors.get(Role::Indices, i))),
     };
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     let triangle = |i: u64| -> Result<Triangle, SceneError> {
         let [a, b, c] = corners_of(mode, i);
-        Ok(Triangle { v: [corners.at(a)?, corners.at(b)?, corners.at(c)?] })
+        Ok(Triangle {
+            v: [corners.at(a)?, corners.at(b)?, corners.at(c)?],
+        })
     };
     // Of several faults, the first in the file is reported.
-    let wrong = out.par_chunks_mut(AT_ONCE).enumerate().find_map_first(|(k, chunk)| {
-        let mut numbered = chunk.iter_mut().zip((k * AT_ONCE) as u64..);
-        numbered.find_map(|(t, i)| triangle(i).map(|read| *t = read).err())
-    });
+    let wrong = out
+        .par_chunks_mut(AT_ONCE)
+        .enumerate()
+        .find_map_first(|(k, chunk)| {
+            let mut numbered = chunk.iter_mut().zip((k * AT_ONCE) as u64..);
+            numbered.find_map(|(t, i)| triangle(i).map(|read| *t = read).err())
+        });
     wrong.map_or(Ok(()), Err)
 }
 
@@ -102,7 +115,9 @@ pub(super) fn coordinates(
     out: &mut Vec<Coordinates>,
 ) -> Result<(), SceneError> {
     let primitive = &root.meshes[draw.mesh].primitives[p];
-    let set = alpha.texture.and_then(|_| primitive.attributes.coordinates(alpha.set));
+    let set = alpha
+        .texture
+        .and_then(|_| primitive.attributes.coordinates(alpha.set));
     let Some(set) = set else {
         out.resize(out.len() + count as usize, Coordinates::default());
         return Ok(());
@@ -117,10 +132,13 @@ pub(super) fn coordinates(
             let vertex = indices.map_or(corner, |indices| indices.index(corner));
             if vertex >= given.count() {
                 let n = given.count();
-                return Err(bad(format!("vertex {vertex} has no texture coordinates, there are {n}")));
+                return Err(bad(format!(
+                    "vertex {vertex} has no texture coordinates, there are {n}"
+                )));
             }
             let placed = alpha.placed(given.coordinates(vertex));
-            *uv = placed.ok_or_else(|| bad(format!("the coordinates of vertex {vertex} are not finite")))?;
+            *uv = placed
+                .ok_or_else(|| bad(format!("the coordinates of vertex {vertex} are not finite")))?;
         }
         out.push(of);
     }
@@ -151,11 +169,24 @@ impl Corners<'_> {
         };
         let local = self.positions.position(vertex);
         let world = transform::apply(&self.draw.world, local);
-        if world.is_finite() { Ok(world) } else { Err(self.bad_vertex(vertex, local)) }
+        if world.is_finite() {
+            Ok(world)
+        } else {
+            Err(self.bad_vertex(vertex, local))
+        }
     }
 
-    fn bad_index(&self, accessor: usize, corner: u64, v: u64, indices: &Accessor<'_>) -> SceneError {
-        let element = format!("{}, accessor {accessor}, index {corner}", label(self.draw, self.p));
+    fn bad_index(
+        &self,
+        accessor: usize,
+        corner: u64,
+        v: u64,
+        indices: &Accessor<'_>,
+    ) -> SceneError {
+        let element = format!(
+            "{}, accessor {accessor}, index {corner}",
+            label(self.draw, self.p)
+        );
         let mut reason = format!("it names vertex {v} of {}", self.positions.count());
         if v == indices.restart() {
             reason.push_str(" (primitive restart is not allowed in glTF)");
@@ -164,9 +195,15 @@ impl Corners<'_> {
     }
 
     fn bad_vertex(&self, vertex: u64, [x, y, z]: [f64; 3]) -> SceneError {
-        let element = format!("{}, accessor {}, vertex {vertex}", label(self.draw, self.p), self.position);
+        let element = format!(
+            "{}, accessor {}, vertex {vertex}",
+            label(self.draw, self.p),
+            self.position
+        );
         let reason = if x.is_finite() && y.is_finite() && z.is_finite() {
-            format!("its position ({x}, {y}, {z}) is out of range once the node's transform is applied")
+            format!(
+                "its position ({x}, {y}, {z}) is out of range once the node's transform is applied"
+            )
         } else {
             format!("its position ({x}, {y}, {z}) is not finite")
         };

@@ -32,28 +32,48 @@ impl<'a> Overlay<'a> {
             Some(c @ (Component::U8 | Component::U16 | Component::U32)) => c,
             _ => return Err(bad("its indices must be unsigned integers".to_owned())),
         };
-        let part = |v: usize, offset: u64, width: u64, what: &str| -> Result<&'a [u8], SceneError> {
-            let bytes = buffers.view(source, root, v)?;
-            let end = sparse.count.checked_mul(width).and_then(|l| l.checked_add(offset));
-            match end.filter(|e| *e <= bytes.len() as u64) {
-                // Both are at most the length of a slice.
-                Some(end) => Ok(&bytes[offset as usize..end as usize]),
-                None => Err(bad(format!(
-                    "its {} {what} from byte {offset} reach beyond buffer view {v} of {} bytes",
-                    sparse.count,
-                    bytes.len()
-                ))),
-            }
-        };
-        let indices =
-            part(sparse.indices.buffer_view, sparse.indices.byte_offset, component.size(), "indices")?;
-        let values = part(sparse.values.buffer_view, sparse.values.byte_offset, size, "values")?;
+        let part =
+            |v: usize, offset: u64, width: u64, what: &str| -> Result<&'a [u8], SceneError> {
+                let bytes = buffers.view(source, root, v)?;
+                let end = sparse
+                    .count
+                    .checked_mul(width)
+                    .and_then(|l| l.checked_add(offset));
+                match end.filter(|e| *e <= bytes.len() as u64) {
+                    // Both are at most the length of a slice.
+                    Some(end) => Ok(&bytes[offset as usize..end as usize]),
+                    None => Err(bad(format!(
+                        "its {} {what} from byte {offset} reach beyond buffer view {v} of {} bytes",
+                        sparse.count,
+                        bytes.len()
+                    ))),
+                }
+            };
+        let indices = part(
+            sparse.indices.buffer_view,
+            sparse.indices.byte_offset,
+            component.size(),
+            "indices",
+        )?;
+        let values = part(
+            sparse.values.buffer_view,
+            sparse.values.byte_offset,
+            size,
+            "values",
+        )?;
         // The values are that many slices of memory, so the count fits; so does the size of an element.
-        let this = Self { indices, component, values, count: sparse.count as usize, size: size as usize };
+        let this = Self {
+            indices,
+            component,
+            values,
+            count: sparse.count as usize,
+            size: size as usize,
+        };
         for i in 0..this.count {
             let index = this.index(i);
             if index >= count || (i > 0 && index <= this.index(i - 1)) {
-                let reason = format!("index {i} is {index}: indices must increase and stay below {count}");
+                let reason =
+                    format!("index {i} is {index}: indices must increase and stay below {count}");
                 return Err(bad(reason));
             }
         }
@@ -72,9 +92,15 @@ impl<'a> Overlay<'a> {
             let middle = low + (high - low) / 2;
             let at = self.index(middle);
             if at == i {
-                return self.values.get(middle * self.size..(middle + 1) * self.size);
+                return self
+                    .values
+                    .get(middle * self.size..(middle + 1) * self.size);
             }
-            if at < i { low = middle + 1 } else { high = middle }
+            if at < i {
+                low = middle + 1
+            } else {
+                high = middle
+            }
         }
         None
     }

@@ -52,14 +52,21 @@ const OTHERS: [(usize, &[u8], &str); 8] = [
 ///
 /// # Errors
 /// The fault in words.
-pub(super) fn mask(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
+pub(super) fn mask(
+    bytes: &[u8],
+    wrap: [Wrap; 2],
+    cutoff: Cutoff,
+    most: u64,
+) -> Result<Mask, String> {
     if bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
         return png(bytes, wrap, cutoff, most).map_err(|why| format!("the PNG image {why}"));
     }
     if bytes.starts_with(b"\xff\xd8\xff") {
         return jpeg(bytes, wrap, cutoff, most).map_err(|why| format!("the JPEG image {why}"));
     }
-    let known = OTHERS.iter().find(|(at, magic, _)| bytes.get(*at..).is_some_and(|b| b.starts_with(magic)));
+    let known = OTHERS
+        .iter()
+        .find(|(at, magic, _)| bytes.get(*at..).is_some_and(|b| b.starts_with(magic)));
     Err(match known {
         Some((.., name)) => format!("its format is {name}, and PNG and JPEG are read"),
         None if bytes.is_empty() => "it is empty".to_owned(),
@@ -74,7 +81,9 @@ fn check_size(size: [u32; 2], most: u64) -> Result<(), String> {
         return Err("has no texels".to_owned());
     }
     if width > MOST_SIDE || height > MOST_SIDE {
-        return Err(format!("is {width} x {height} texels large, and at most {MOST_SIDE} a side are read"));
+        return Err(format!(
+            "is {width} x {height} texels large, and at most {MOST_SIDE} a side are read"
+        ));
     }
     if u64::from(width) * u64::from(height) > most {
         return Err(format!(
@@ -87,7 +96,9 @@ fn check_size(size: [u32; 2], most: u64) -> Result<(), String> {
 
 fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
     let unreadable = |e: png::DecodingError| format!("cannot be decoded: {e}");
-    let limits = png::Limits { bytes: DECODER_BYTES };
+    let limits = png::Limits {
+        bytes: DECODER_BYTES,
+    };
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), limits);
     // Palettes and colour keys become alpha channels; samples have 8 or 16 bits.
     decoder.set_transformations(Transformations::EXPAND);
@@ -126,13 +137,20 @@ fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask,
     };
     if reader.info().interlaced {
         // At most eight bytes for each texel that was allowed.
-        let all = reader.output_buffer_size().ok_or("does not fit in memory")?;
+        let all = reader
+            .output_buffer_size()
+            .ok_or("does not fit in memory")?;
         let mut pixels = vec![0; all];
         reader.next_frame(&mut pixels).map_err(unreadable)?;
-        pixels.chunks_exact(size[0] as usize * texel).for_each(&mut take);
+        pixels
+            .chunks_exact(size[0] as usize * texel)
+            .for_each(&mut take);
     } else {
         for _ in 0..size[1] {
-            let row = reader.next_row().map_err(unreadable)?.ok_or("ends within its texels")?;
+            let row = reader
+                .next_row()
+                .map_err(unreadable)?
+                .ok_or("ends within its texels")?;
             take(row.data());
         }
     }
@@ -143,11 +161,18 @@ fn png(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask,
 
 fn jpeg(bytes: &[u8], wrap: [Wrap; 2], cutoff: Cutoff, most: u64) -> Result<Mask, String> {
     let side = usize::from(u16::MAX);
-    let options = DecoderOptions::default().set_max_width(side).set_max_height(side);
+    let options = DecoderOptions::default()
+        .set_max_width(side)
+        .set_max_height(side);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
-    decoder.decode_headers().map_err(|e| format!("cannot be decoded: {e}"))?;
+    decoder
+        .decode_headers()
+        .map_err(|e| format!("cannot be decoded: {e}"))?;
     let (width, height) = decoder.dimensions().ok_or("has no size")?;
-    check_size([width, height].map(|n| u32::try_from(n).unwrap_or(u32::MAX)), most)?;
+    check_size(
+        [width, height].map(|n| u32::try_from(n).unwrap_or(u32::MAX)),
+        most,
+    )?;
     // The marker of the end comes after that of the last coded texels. Neither occurs within coded texels,
     // and a small preview among the headers has both before.
     let last = |marker: u8| bytes.windows(2).rposition(|two| two == [0xff, marker]);

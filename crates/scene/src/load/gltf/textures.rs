@@ -56,7 +56,15 @@ impl<'a> Textures<'a> {
         document: &'a Document,
     ) -> Self {
         let (masks, known) = (Vec::new(), BTreeMap::new());
-        Self { source, root, buffers, document, masks, known, texels: 0 }
+        Self {
+            source,
+            root,
+            buffers,
+            document,
+            masks,
+            known,
+            texels: 0,
+        }
     }
 
     /// What `alpha`, that of material `material`, makes of the triangles of primitive `p`.
@@ -72,11 +80,15 @@ impl<'a> Textures<'a> {
         marks: &mut Marks,
     ) -> Result<Resolved, SceneError> {
         marks.met_alpha();
-        let bad = |element: &str, why: String| SceneError::bad(self.source.file, element, why, REMEDY);
+        let bad =
+            |element: &str, why: String| SceneError::bad(self.source.file, element, why, REMEDY);
         let alpha = alpha.as_ref().map_err(|why| bad(material, why.clone()))?;
         let attributes = &self.root.meshes[draw.mesh].primitives[p].attributes;
         let mut whole = |why: String| {
-            marks.warn(format!("mesh {}, primitive {p}: {why}, so it is see-through as a whole", draw.mesh));
+            marks.warn(format!(
+                "mesh {}, primitive {p}: {why}, so it is see-through as a whole",
+                draw.mesh
+            ));
             Ok(Resolved::Whole(Mark::of(Kind::SeeThrough, MASK)))
         };
         // Colours of three components have no accessor in this role, and no alpha.
@@ -85,14 +97,22 @@ impl<'a> Textures<'a> {
             return whole("its vertex colours (COLOR_0) have alpha below 1".to_owned());
         }
         if alpha.texture.is_some() && attributes.coordinates(alpha.set).is_none() {
-            return whole(format!("it has no texture coordinates TEXCOORD_{}", alpha.set));
+            return whole(format!(
+                "it has no texture coordinates TEXCOORD_{}",
+                alpha.set
+            ));
         }
-        let key = (alpha.texture, alpha.cutoff.factor.to_bits(), alpha.cutoff.least.to_bits());
+        let key = (
+            alpha.texture,
+            alpha.cutoff.factor.to_bits(),
+            alpha.cutoff.least.to_bits(),
+        );
         let known = match self.known.get(&key) {
             Some(known) => *known,
             None => {
                 let mask = self.mask(alpha);
-                let mask = mask.map_err(|(element, why)| bad(&format!("{material}, {element}"), why))?;
+                let mask =
+                    mask.map_err(|(element, why)| bad(&format!("{material}, {element}"), why))?;
                 let [width, height] = mask.size();
                 self.texels += u64::from(width) * u64::from(height);
                 let number = (!mask.all_closed()).then(|| {
@@ -118,7 +138,10 @@ impl<'a> Textures<'a> {
             }
             return Ok(mask);
         };
-        let image = self.document.image(texture).map_err(|why| (format!("texture {texture}"), why))?;
+        let image = self
+            .document
+            .image(texture)
+            .map_err(|why| (format!("texture {texture}"), why))?;
         let element = format!("texture {texture}, {}", image.label());
         let bytes = image.bytes(self.source, self.root, self.buffers, &element);
         let bytes = bytes.map_err(|e| match e {

@@ -17,15 +17,26 @@ pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
                 return Err("the last row of its matrix is not 0 0 0 1".to_owned());
             }
             let column = |i: usize| DVec3::new(m[4 * i], m[4 * i + 1], m[4 * i + 2]);
-            DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
+            DAffine3 {
+                matrix3: DMat3::from_cols(column(0), column(1), column(2)),
+                translation: column(3),
+            }
         }
         None => {
             let of = |v: &Option<Box<[f64; 3]>>| v.as_ref().map(|v| **v);
-            compose(of(&node.translation), node.rotation.as_ref().map(|r| **r), of(&node.scale))
-                .ok_or("its rotation is not a unit quaternion")?
+            compose(
+                of(&node.translation),
+                node.rotation.as_ref().map(|r| **r),
+                of(&node.scale),
+            )
+            .ok_or("its rotation is not a unit quaternion")?
         }
     };
-    if result.is_finite() { Ok(result) } else { Err("its transform is not finite".to_owned()) }
+    if result.is_finite() {
+        Ok(result)
+    } else {
+        Err("its transform is not finite".to_owned())
+    }
 }
 
 /// A transform from its parts, the identity where one is missing; none if the rotation is no quaternion.
@@ -57,5 +68,9 @@ pub(super) fn compose(
 /// The identity keeps every bit, the sign of a zero included.
 pub(super) fn apply(world: &DAffine3, p: [f64; 3]) -> Vec3 {
     let p = DVec3::from_array(p);
-    if *world == DAffine3::IDENTITY { p.as_vec3() } else { world.transform_point3(p).as_vec3() }
+    if *world == DAffine3::IDENTITY {
+        p.as_vec3()
+    } else {
+        world.transform_point3(p).as_vec3()
+    }
 }

@@ -91,9 +91,11 @@ pub(super) fn uses(
     for d in draws {
         drawn[d.mesh] = true;
     }
-    let mut met: [Vec<bool>; Role::COUNT] = std::array::from_fn(|_| vec![false; root.accessors.len()]);
+    let mut met: [Vec<bool>; Role::COUNT] =
+        std::array::from_fn(|_| vec![false; root.accessors.len()]);
     let mut uses = Vec::new();
-    let mut add = |accessor: usize, role: Role, by: User| match met[role as usize].get_mut(accessor) {
+    let mut add = |accessor: usize, role: Role, by: User| match met[role as usize].get_mut(accessor)
+    {
         Some(met) => {
             if !std::mem::replace(met, true) {
                 uses.push(Use { accessor, role, by });
@@ -108,13 +110,20 @@ pub(super) fn uses(
     for (mesh, m) in root.meshes.iter().enumerate().filter(|(m, _)| drawn[*m]) {
         for (primitive, p) in m.primitives.iter().enumerate() {
             let by = User::Primitive { mesh, primitive };
-            let Some(position) = surface(p).map_err(|why| source.bad(by.to_string(), why))? else { continue };
+            let Some(position) = surface(p).map_err(|why| source.bad(by.to_string(), why))? else {
+                continue;
+            };
             add(position, Role::Positions, by)?;
             if let Some(indices) = p.indices {
                 add(indices, Role::Indices, by)?;
             }
-            let Some(alpha) = kinds::alpha_of(p, materials) else { continue };
-            if let Some(coordinates) = alpha.texture.and_then(|_| p.attributes.coordinates(alpha.set)) {
+            let Some(alpha) = kinds::alpha_of(p, materials) else {
+                continue;
+            };
+            if let Some(coordinates) = alpha
+                .texture
+                .and_then(|_| p.attributes.coordinates(alpha.set))
+            {
                 add(coordinates, Role::Coordinates, by)?;
             }
             let with_alpha = |c: &usize| root.accessors.get(*c).is_none_or(|a| a.shape == "VEC4");
@@ -124,9 +133,14 @@ pub(super) fn uses(
         }
     }
     for draw in draws {
-        let Some(attributes) = root.nodes[draw.node].instances() else { continue };
+        let Some(attributes) = root.nodes[draw.node].instances() else {
+            continue;
+        };
         let by = User::Instances { node: draw.node };
-        for offsets in [attributes.translation, attributes.scale].into_iter().flatten() {
+        for offsets in [attributes.translation, attributes.scale]
+            .into_iter()
+            .flatten()
+        {
             add(offsets, Role::Offsets, by)?;
         }
         if let Some(rotation) = attributes.rotation {
@@ -148,5 +162,9 @@ pub(super) fn mode(p: &json::Primitive) -> Result<Mode, String> {
 
 /// The accessor of the positions, when the primitive has a surface at all.
 pub(super) fn surface(p: &json::Primitive) -> Result<Option<usize>, String> {
-    Ok(if mode(p)? == Mode::NoSurface { None } else { p.attributes.position })
+    Ok(if mode(p)? == Mode::NoSurface {
+        None
+    } else {
+        p.attributes.position
+    })
 }

@@ -93,13 +93,20 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
     loop {
         // At most one line a byte, so this cannot overflow.
         line += 1;
-        let bad = |reason: String| SceneError::bad(file, format!("header line {line}"), reason, EXPORT_AGAIN);
+        let bad = |reason: String| {
+            SceneError::bad(file, format!("header line {line}"), reason, EXPORT_AGAIN)
+        };
         let rest = bytes.get(at..).unwrap_or_default();
         let Some(len) = rest.iter().position(|b| *b == b'\n' || *b == b'\r') else {
             return Err(bad("the file ends before end_header".to_owned()));
         };
         // A line ends with \n, \r\n or, from old machines, \r.
-        at += len + if rest[len..].starts_with(b"\r\n") { 2 } else { 1 };
+        at += len
+            + if rest[len..].starts_with(b"\r\n") {
+                2
+            } else {
+                1
+            };
         let text = String::from_utf8_lossy(&rest[..len]);
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         match words.as_slice() {
@@ -114,16 +121,22 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
                 });
             }
             ["element", name, count] => {
-                let count =
-                    count.parse().map_err(|_| bad(format!("the count {} is no number", short(count))))?;
+                let count = count
+                    .parse()
+                    .map_err(|_| bad(format!("the count {} is no number", short(count))))?;
                 if elements.iter().any(|e| e.name == *name) {
                     return Err(bad(format!("the element {} appears twice", short(name))));
                 }
-                elements.push(Element { name: short(name), count, properties: Vec::new() });
+                elements.push(Element {
+                    name: short(name),
+                    count,
+                    properties: Vec::new(),
+                });
             }
             ["property", words @ ..] => {
-                let element =
-                    elements.last_mut().ok_or_else(|| bad("a property before any element".to_owned()))?;
+                let element = elements
+                    .last_mut()
+                    .ok_or_else(|| bad("a property before any element".to_owned()))?;
                 let kind_of = |word: &str| {
                     NumberKind::from_word(word)
                         .ok_or_else(|| bad(format!("the type {} is unknown", short(word))))
@@ -132,17 +145,36 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
                     ["list", len, kind, name] => {
                         let len = kind_of(len)?;
                         if len.is_float() {
-                            return Err(bad("the length of a list must be an integer type".to_owned()));
+                            return Err(bad(
+                                "the length of a list must be an integer type".to_owned()
+                            ));
                         }
-                        Property { name: short(name), kind: kind_of(kind)?, list: Some(len) }
+                        Property {
+                            name: short(name),
+                            kind: kind_of(kind)?,
+                            list: Some(len),
+                        }
                     }
-                    [kind, name] => Property { name: short(name), kind: kind_of(kind)?, list: None },
-                    _ => return Err(bad("the property is not written as the format asks".to_owned())),
+                    [kind, name] => Property {
+                        name: short(name),
+                        kind: kind_of(kind)?,
+                        list: None,
+                    },
+                    _ => {
+                        return Err(bad(
+                            "the property is not written as the format asks".to_owned()
+                        ));
+                    }
                 });
             }
             ["end_header"] => {
                 let format = format.ok_or_else(|| bad("there is no format line".to_owned()))?;
-                return Ok(Header { format, elements, body: at, lines: line });
+                return Ok(Header {
+                    format,
+                    elements,
+                    body: at,
+                    lines: line,
+                });
             }
             _ => return Err(bad(format!("\"{}\" is not understood", short(&text)))),
         }

@@ -26,14 +26,23 @@ pub(super) fn parse(
 ) -> Result<Scene, SceneError> {
     let header = header::read(file, bytes)?;
     let body = &bytes[header.body..];
-    let mut r = Reader { file, limits, vertices: Vec::new(), triangles: Vec::new() };
+    let mut r = Reader {
+        file,
+        limits,
+        vertices: Vec::new(),
+        triangles: Vec::new(),
+    };
     match header.format {
         Format::Ascii => r.elements(&header, Ascii::new(body, header.lines))?,
         Format::BinaryLittle => r.elements(&header, Binary::new(body, false))?,
         Format::BinaryBig => r.elements(&header, Binary::new(body, true))?,
     }
     // The number of triangles is at most `limits.triangles`, a u32.
-    let whole = Object { name: "mesh".to_owned(), first: 0, count: r.triangles.len() as u32 };
+    let whole = Object {
+        name: "mesh".to_owned(),
+        first: 0,
+        count: r.triangles.len() as u32,
+    };
     marks.push(whole.count, &[whole.name.as_str()], &Mark::DEFAULT);
     Scene::new(file, r.triangles, vec![whole])
 }
@@ -60,7 +69,10 @@ impl Reader<'_> {
             // Each element takes a known least number of bytes, so the count is checked before anything is
             // done for it.
             let least: u64 = e.properties.iter().map(|p| values.least_bytes(p)).sum();
-            if e.count.checked_mul(least).is_none_or(|n| n > values.left() as u64 + 1) {
+            if e.count
+                .checked_mul(least)
+                .is_none_or(|n| n > values.left() as u64 + 1)
+            {
                 let reason = format!(
                     "the header counts {} of them, which is more than the {} bytes left can hold",
                     e.count,
@@ -98,7 +110,10 @@ impl Reader<'_> {
             ));
         }
         if values.has_rest() {
-            let reason = format!("{} bytes follow the last element the header counts", values.left());
+            let reason = format!(
+                "{} bytes follow the last element the header counts",
+                values.left()
+            );
             return Err(self.bad("end", reason, EXPORT_AGAIN));
         }
         Ok(())
@@ -119,29 +134,48 @@ impl Reader<'_> {
         values: &mut V,
     ) -> Result<usize, SceneError> {
         let Some(count) = p.list else { return Ok(1) };
-        let n = values.integer(count).ok_or_else(|| self.unreadable(e, i, p, values))?;
+        let n = values
+            .integer(count)
+            .ok_or_else(|| self.unreadable(e, i, p, values))?;
         let fits = u64::try_from(n).ok().filter(|n| {
-            n.checked_mul(values.least_value_bytes(p.kind)).is_some_and(|b| b <= values.left() as u64 + 1)
+            n.checked_mul(values.least_value_bytes(p.kind))
+                .is_some_and(|b| b <= values.left() as u64 + 1)
         });
         match fits {
             // No more than the bytes left, so it fits a usize.
             Some(n) => Ok(n as usize),
             None => {
                 let at = format!("{} {i}, property {}", e.name, p.name);
-                let reason = format!("its list has {n} values, but {} bytes are left", values.left());
+                let reason = format!(
+                    "its list has {n} values, but {} bytes are left",
+                    values.left()
+                );
                 Err(self.bad(&at, reason, EXPORT_AGAIN))
             }
         }
     }
 
-    fn skip<V: Values>(&self, e: &Element, i: u64, p: &Property, values: &mut V) -> Result<(), SceneError> {
+    fn skip<V: Values>(
+        &self,
+        e: &Element,
+        i: u64,
+        p: &Property,
+        values: &mut V,
+    ) -> Result<(), SceneError> {
         let n = self.list_len(e, i, p, values)?;
-        values.skip(p.kind, n).ok_or_else(|| self.unreadable(e, i, p, values))
+        values
+            .skip(p.kind, n)
+            .ok_or_else(|| self.unreadable(e, i, p, values))
     }
 
     fn read_vertices<V: Values>(&mut self, e: &Element, values: &mut V) -> Result<(), SceneError> {
         for axis in ["x", "y", "z"] {
-            if e.properties.iter().filter(|p| p.name == axis && p.list.is_none()).count() != 1 {
+            if e.properties
+                .iter()
+                .filter(|p| p.name == axis && p.list.is_none())
+                .count()
+                != 1
+            {
                 let reason = format!("a vertex must have one property {axis} that is a number");
                 return Err(self.bad("element vertex", reason, EXPORT_AGAIN));
             }
@@ -158,7 +192,9 @@ impl Reader<'_> {
                         continue;
                     }
                 };
-                position[axis] = values.float(p.kind).ok_or_else(|| self.unreadable(e, i, p, values))?;
+                position[axis] = values
+                    .float(p.kind)
+                    .ok_or_else(|| self.unreadable(e, i, p, values))?;
             }
             let v = Vec3::from_array(position);
             if !v.is_finite() {
@@ -171,8 +207,9 @@ impl Reader<'_> {
     }
 
     fn read_faces<V: Values>(&mut self, e: &Element, values: &mut V) -> Result<(), SceneError> {
-        let is_indices =
-            |p: &Property| p.list.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
+        let is_indices = |p: &Property| {
+            p.list.is_some() && matches!(p.name.as_str(), "vertex_indices" | "vertex_index")
+        };
         match e.properties.iter().filter(|p| is_indices(p)).count() {
             1 => {}
             n => {
@@ -182,7 +219,11 @@ impl Reader<'_> {
         }
         for i in 0..e.count {
             for p in &e.properties {
-                if is_indices(p) { self.read_face(e, i, p, values)? } else { self.skip(e, i, p, values)? }
+                if is_indices(p) {
+                    self.read_face(e, i, p, values)?
+                } else {
+                    self.skip(e, i, p, values)?
+                }
             }
         }
         Ok(())
@@ -202,13 +243,19 @@ impl Reader<'_> {
             return Err(self.bad(&format!("face {i}"), reason, remedy));
         }
         if n - 2 > self.limits.triangles as usize - self.triangles.len() {
-            return Err(too_many_triangles(self.file, format!("face {i}"), self.limits));
+            return Err(too_many_triangles(
+                self.file,
+                format!("face {i}"),
+                self.limits,
+            ));
         }
         let first = self.corner(e, i, p, values)?;
         let mut last = self.corner(e, i, p, values)?;
         for _ in 2..n {
             let next = self.corner(e, i, p, values)?;
-            self.triangles.push(Triangle { v: [first, last, next] });
+            self.triangles.push(Triangle {
+                v: [first, last, next],
+            });
             last = next;
         }
         Ok(())
@@ -221,8 +268,12 @@ impl Reader<'_> {
         p: &Property,
         values: &mut V,
     ) -> Result<Vec3, SceneError> {
-        let index = values.integer(p.kind).ok_or_else(|| self.unreadable(e, i, p, values))?;
-        let vertex = usize::try_from(index).ok().and_then(|i| self.vertices.get(i));
+        let index = values
+            .integer(p.kind)
+            .ok_or_else(|| self.unreadable(e, i, p, values))?;
+        let vertex = usize::try_from(index)
+            .ok()
+            .and_then(|i| self.vertices.get(i));
         vertex.copied().ok_or_else(|| {
             let reason = format!("it names vertex {index} of {}", self.vertices.len());
             self.bad(&format!("face {i}"), reason, EXPORT_AGAIN)

@@ -38,16 +38,29 @@ pub(super) struct Ascii<'a> {
 impl<'a> Ascii<'a> {
     /// Over `body`, which comes after `lines` lines.
     pub(super) fn new(body: &'a [u8], lines: usize) -> Self {
-        Self { body, at: 0, token: 0, lines }
+        Self {
+            body,
+            at: 0,
+            token: 0,
+            lines,
+        }
     }
 
     fn next(&mut self) -> Option<&'a str> {
         let rest = &self.body[self.at..];
-        let start = rest.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(rest.len());
-        let len = rest[start..].iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len() - start);
+        let start = rest
+            .iter()
+            .position(|b| !b.is_ascii_whitespace())
+            .unwrap_or(rest.len());
+        let len = rest[start..]
+            .iter()
+            .position(u8::is_ascii_whitespace)
+            .unwrap_or(rest.len() - start);
         self.token = self.at + start;
         self.at = self.token + len;
-        std::str::from_utf8(&self.body[self.token..self.at]).ok().filter(|t| !t.is_empty())
+        std::str::from_utf8(&self.body[self.token..self.at])
+            .ok()
+            .filter(|t| !t.is_empty())
     }
 }
 
@@ -78,16 +91,26 @@ impl Values for Ascii<'_> {
     }
 
     fn has_rest(&self) -> bool {
-        self.body[self.at..].iter().any(|b| !b.is_ascii_whitespace() && *b != 0)
+        self.body[self.at..]
+            .iter()
+            .any(|b| !b.is_ascii_whitespace() && *b != 0)
     }
 
     fn why(&self) -> String {
-        let line = self.lines + 1 + self.body[..self.token].iter().filter(|b| **b == b'\n').count();
+        let line = self.lines
+            + 1
+            + self.body[..self.token]
+                .iter()
+                .filter(|b| **b == b'\n')
+                .count();
         let token = &self.body[self.token..self.at.min(self.token + 40)];
         if token.is_empty() {
             "the file ends before it".to_owned()
         } else {
-            format!("\"{}\" (line {line}) is not a number of its type", String::from_utf8_lossy(token))
+            format!(
+                "\"{}\" (line {line}) is not a number of its type",
+                String::from_utf8_lossy(token)
+            )
         }
     }
 }
@@ -152,7 +175,9 @@ impl Values for Binary<'_> {
     }
 
     fn has_rest(&self) -> bool {
-        self.rest.iter().any(|b| !b.is_ascii_whitespace() && *b != 0)
+        self.rest
+            .iter()
+            .any(|b| !b.is_ascii_whitespace() && *b != 0)
     }
 
     fn why(&self) -> String {

@@ -12,7 +12,11 @@ const WORST: ([[f32; 3]; 3], [f64; 3]) = (
         [-1.0060744, 1.0028253, -1.0098703],
         [-1.0084602, -0.96784025, -1.013673],
     ],
-    [0.0007849556111360168, -0.001122060475977367, -0.0005063673487796393],
+    [
+        0.0007849556111360168,
+        -0.001122060475977367,
+        -0.0005063673487796393,
+    ],
 );
 
 /// Converts finite numbers to integers times one power of two.
@@ -60,7 +64,10 @@ fn true_conflict(corners: [[f32; 3]; 4], e: [f32; 3]) -> (Ordering, [Ordering; 4
         if k.is_multiple_of(2) { volume } else { -volume }
     };
     let volumes = [0, 1, 2, 3].map(signed);
-    let sum = volumes.iter().zip(&rows).fold(IBig::ZERO, |sum, (v, r)| sum + v * lift(r));
+    let sum = volumes
+        .iter()
+        .zip(&rows)
+        .fold(IBig::ZERO, |sum, (v, r)| sum + v * lift(r));
     (sum.cmp(&IBig::ZERO), volumes.map(|v| v.cmp(&IBig::ZERO)))
 }
 
@@ -71,8 +78,13 @@ fn points<const N: usize>() -> impl Strategy<Value = [[f32; 3]; N]> {
     let any = -1.5f32..1.5;
     let scaled = (-2i32..3, -40i32..40).prop_map(|(c, e)| c as f32 * 2f32.powi(e));
     let coordinate = prop_oneof![4 => near, 2 => fine, 2 => any, 1 => scaled];
-    (proptest::collection::vec(coordinate, 3 * N), prop_oneof![Just(0), -60i32..60])
-        .prop_map(|(c, e)| std::array::from_fn(|i| std::array::from_fn(|k| c[3 * i + k] * 2f32.powi(e))))
+    (
+        proptest::collection::vec(coordinate, 3 * N),
+        prop_oneof![Just(0), -60i32..60],
+    )
+        .prop_map(|(c, e)| {
+            std::array::from_fn(|i| std::array::from_fn(|k| c[3 * i + k] * 2f32.powi(e)))
+        })
 }
 
 /// Checks a conflict of every order of the corners that has a positive volume.
@@ -100,7 +112,10 @@ fn check_conflict(all: &[[f32; 3]; 5]) -> Result<(), TestCaseError> {
         prop_assert_eq!(found, side);
         prop_assert!(found != Ordering::Equal || cofactors.map(sign) == signs);
     }
-    let exact = differences(Vec3::from(at(4)).as_dvec3(), corners.map(|k| Vec3::from(at(k)).as_dvec3()));
+    let exact = differences(
+        Vec3::from(at(4)).as_dvec3(),
+        corners.map(|k| Vec3::from(at(k)).as_dvec3()),
+    );
     if let Some(found) = exact.and_then(small_signs) {
         prop_assert_eq!(found, (side, signs));
     }
@@ -224,7 +239,11 @@ fn half_orient_bound_gives_wrong_sign() {
     let (points, x) = WORST;
     let rows = points.map(|p| [0, 1, 2].map(|k| f64::from(p[k]) - x[k]));
     let rounded = det(&rows[0], &rows[1], &rows[2]) / largest(&rows).iter().product::<f64>();
-    assert!(rounded > 0.5 * ORIENT_BOUND && rounded < ORIENT_BOUND, "{} u", rounded / U);
+    assert!(
+        rounded > 0.5 * ORIENT_BOUND && rounded < ORIENT_BOUND,
+        "{} u",
+        rounded / U
+    );
     assert_eq!(true_side(points, x), Ordering::Less);
     assert_eq!(side_filtered(points, x), None);
     assert_eq!(side(points, x), Ordering::Less);

@@ -45,7 +45,9 @@ impl Channel {
                 let word = |of: [u8; 4], i: usize| u16::from_le_bytes([of[2 * i], of[2 * i + 1]]);
                 let sum = |i| {
                     let d = word(delta, i);
-                    word(previous, i).wrapping_add((d >> 1) ^ (d & 1).wrapping_neg()).to_le_bytes()
+                    word(previous, i)
+                        .wrapping_add((d >> 1) ^ (d & 1).wrapping_neg())
+                        .to_le_bytes()
                 };
                 let ([a, b], [c, d]) = (sum(0), sum(1));
                 [a, b, c, d]
@@ -74,7 +76,10 @@ pub(super) fn attributes(out: &mut [u8], stride: usize, data: &[u8]) -> Option<(
     let tail = stride + of_channels;
     let (mut rest, padded) = body.split_at_checked(body.len().checked_sub(tail.max(least))?)?;
     let (last, channels) = padded[padded.len() - tail..].split_at(stride);
-    let mut channels = channels.iter().map(|b| Channel::from_byte(*b)).collect::<Option<Vec<_>>>()?;
+    let mut channels = channels
+        .iter()
+        .map(|b| Channel::from_byte(*b))
+        .collect::<Option<Vec<_>>>()?;
     channels.resize(stride / 4, Channel::Bytes);
     let mut last = last.to_vec();
     let block = ((8192 / stride) & !(GROUP - 1)).min(BLOCK);

@@ -15,7 +15,9 @@ fn unzigzag(v: u32) -> u32 {
 /// Decodes mode INDICES: each index is a delta to one of two running baselines. `None` when the data are
 /// malformed.
 pub(super) fn index_sequence(count: usize, data: &[u8]) -> Option<Vec<u32>> {
-    let (&0xd1, body) = data.split_first()? else { return None };
+    let (&0xd1, body) = data.split_first()? else {
+        return None;
+    };
     let (mut rest, _tail) = body.split_at_checked(body.len().checked_sub(4)?)?;
     if count > rest.len() {
         return None;
@@ -39,7 +41,10 @@ struct Fifo<T> {
 
 impl<T: Copy> Fifo<T> {
     fn new(item: T) -> Self {
-        Self { items: [item; 16], next: 0 }
+        Self {
+            items: [item; 16],
+            next: 0,
+        }
     }
 
     fn push(&mut self, item: T) {
@@ -122,7 +127,11 @@ impl TriangleDecoder<'_> {
         // All three codes come before any delta, so new vertices are numbered first.
         let mut v = [0u32; 3];
         for (v, code) in v.iter_mut().zip(codes) {
-            *v = if code == 0 { self.fresh() } else { self.vertices.back(usize::from(code)) };
+            *v = if code == 0 {
+                self.fresh()
+            } else {
+                self.vertices.back(usize::from(code))
+            };
         }
         for (v, code) in v.iter_mut().zip(codes) {
             if code == 15 {
@@ -145,7 +154,9 @@ impl TriangleDecoder<'_> {
 /// Decodes mode TRIANGLES: a code byte for each triangle, then the deltas, then a table of 16 frequent codes.
 /// `None` when the data are malformed.
 pub(super) fn triangles(count: usize, data: &[u8]) -> Option<Vec<u32>> {
-    let (&0xe1, body) = data.split_first()? else { return None };
+    let (&0xe1, body) = data.split_first()? else {
+        return None;
+    };
     if !count.is_multiple_of(3) {
         return None;
     }
@@ -160,7 +171,11 @@ pub(super) fn triangles(count: usize, data: &[u8]) -> Option<Vec<u32>> {
     };
     let mut out = Vec::with_capacity(count);
     for &code in codes {
-        out.extend(if code < 0xf0 { d.on_edge(code)? } else { d.alone(code, table)? });
+        out.extend(if code < 0xf0 {
+            d.on_edge(code)?
+        } else {
+            d.alone(code, table)?
+        });
     }
     d.rest.is_empty().then_some(out)
 }

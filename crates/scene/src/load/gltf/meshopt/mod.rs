@@ -35,12 +35,15 @@ pub(super) fn decode(view: &MeshoptView, data: &[u8]) -> Result<Vec<u8>, String>
     match view.mode.as_str() {
         "ATTRIBUTES" => {
             if stride == 0 || stride > 256 || stride % 4 != 0 {
-                return Err(format!("its stride of {stride} bytes is not a multiple of 4 up to 256"));
+                return Err(format!(
+                    "its stride of {stride} bytes is not a multiple of 4 up to 256"
+                ));
             }
             let filter = Filter::parse(view.filter.as_deref(), stride)?;
             let mut out = bytemuck::allocation::try_zeroed_vec(size)
                 .map_err(|()| format!("its {size} bytes do not fit in memory"))?;
-            attributes(&mut out, stride, data).ok_or("its vertex data are malformed or truncated")?;
+            attributes(&mut out, stride, data)
+                .ok_or("its vertex data are malformed or truncated")?;
             filter.apply(&mut out, stride);
             Ok(out)
         }
@@ -49,14 +52,19 @@ pub(super) fn decode(view: &MeshoptView, data: &[u8]) -> Result<Vec<u8>, String>
         }
         mode @ ("TRIANGLES" | "INDICES") => {
             if stride != 2 && stride != 4 {
-                return Err(format!("its stride is {stride} bytes, and indices take 2 or 4"));
+                return Err(format!(
+                    "its stride is {stride} bytes, and indices take 2 or 4"
+                ));
             }
             // Each index of a sequence, and each three indices of a list, take at least one byte.
             if count / 3 > data.len() {
                 return Err(truncated());
             }
-            let indices =
-                if mode == "TRIANGLES" { triangles(count, data) } else { index_sequence(count, data) };
+            let indices = if mode == "TRIANGLES" {
+                triangles(count, data)
+            } else {
+                index_sequence(count, data)
+            };
             let indices = indices.ok_or("its index data are malformed or truncated")?;
             let mut out = Vec::with_capacity(size);
             for i in indices {

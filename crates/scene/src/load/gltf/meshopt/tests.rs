@@ -104,20 +104,41 @@ fn version_1_decodes_as_in_cpp_library() {
             base64::Engine::decode(&base64::engine::general_purpose::STANDARD, text).unwrap()
         };
         let number = |key: &str| case[key].as_u64().unwrap() as usize;
-        let view = view("ATTRIBUTES", number("count"), number("stride"), case["filter"].as_str());
+        let view = view(
+            "ATTRIBUTES",
+            number("count"),
+            number("stride"),
+            case["filter"].as_str(),
+        );
         let packed = bytes("packed");
-        assert_eq!(decode(&view, &packed).unwrap(), bytes("bytes"), "{}", case["name"]);
+        assert_eq!(
+            decode(&view, &packed).unwrap(),
+            bytes("bytes"),
+            "{}",
+            case["name"]
+        );
         // Every byte counts: a shorter stream is malformed.
-        assert!(decode(&view, &packed[..packed.len() - 1]).is_err() || packed.len() < 64, "{}", case["name"]);
+        assert!(
+            decode(&view, &packed[..packed.len() - 1]).is_err() || packed.len() < 64,
+            "{}",
+            case["name"]
+        );
     }
 }
 
 #[test]
 fn filters_check_strides() {
-    let refusal =
-        |filter, stride| decode(&view("ATTRIBUTES", 1, stride, Some(filter)), &[0xa1; 600]).unwrap_err();
-    assert_eq!(refusal("QUATERNION", 4), "the filter QUATERNION needs a stride of [8] bytes, and it is 4");
-    assert_eq!(refusal("COLOR", 12), "the filter COLOR needs a stride of [4, 8] bytes, and it is 12");
+    let refusal = |filter, stride| {
+        decode(&view("ATTRIBUTES", 1, stride, Some(filter)), &[0xa1; 600]).unwrap_err()
+    };
+    assert_eq!(
+        refusal("QUATERNION", 4),
+        "the filter QUATERNION needs a stride of [8] bytes, and it is 4"
+    );
+    assert_eq!(
+        refusal("COLOR", 12),
+        "the filter COLOR needs a stride of [4, 8] bytes, and it is 12"
+    );
     assert!(refusal("OCTAHEDRAL", 4).starts_with("the filter OCTAHEDRAL is not one"));
 }
 
@@ -126,7 +147,10 @@ fn exponents_are_applied() {
     let words: Vec<u32> = vec![0x0000_0003, 0xff00_0003, 0x01ff_ffff, 0x0000_0000];
     let mut bytes = le(&words);
     Filter::Exponential.apply(&mut bytes, 4);
-    let got: Vec<f32> = bytes.chunks(4).map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect();
+    let got: Vec<f32> = bytes
+        .chunks(4)
+        .map(|b| f32::from_le_bytes(b.try_into().unwrap()))
+        .collect();
     assert_eq!(got, [3.0, 1.5, -2.0, 0.0]);
 }
 
