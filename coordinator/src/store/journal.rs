@@ -206,9 +206,10 @@ impl Journal {
             chain,
         };
         if let Err(JournalError::Io { source, .. }) = self.record(end, numbers) {
-            // The slot may count although its write failed. The frame can go only if the slot records the end
-            // before it again.
-            return Err(match self.record(self.end, numbers) {
+            // The slot may count although its write failed. The frame can go only if the slot durably records
+            // the end before it again: the disk may have any of the slot's contents since the last sync.
+            let recorded = self.record(self.end, numbers);
+            return Err(match recorded.and_then(|()| self.sync_watermark()) {
                 Ok(()) => self.undo(io::Error::new(source.kind(), source)),
                 Err(_) => self.give_up(source),
             });
