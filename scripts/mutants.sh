@@ -38,7 +38,7 @@ done
 # searches through line space.
 filters() {
   cat <<'END'
-sightline-scene crates/scene/src/exact.rs exact::
+sightline-geometry crates/geometry/src/predicates.rs predicates::
 sightline-exact crates/exact/src/surfaces/crossing_order.rs surfaces::crossing_order::
 sightline-exact crates/exact/src/geometry/predicates.rs geometry::predicates::
 sightline-exact crates/exact/src/arithmetic/double_double.rs arithmetic::

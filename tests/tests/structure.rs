@@ -79,6 +79,12 @@ fn the_checker_knows_number_types_alone() {
 }
 
 #[test]
+fn geometry_and_formats_know_no_scenes() {
+    assert_eq!(ours("sightline-geometry"), ["sightline-numbers"]);
+    assert!(ours("sightline-formats").is_empty());
+}
+
+#[test]
 fn the_reader_of_results_stands_alone() {
     assert!(ours("sightline-pvs").is_empty());
 }
@@ -87,7 +93,12 @@ fn the_reader_of_results_stands_alone() {
 fn looking_from_a_point_needs_no_tracer() {
     assert_eq!(
         ours("sightline-tetra"),
-        ["sightline-numbers", "sightline-scene"]
+        [
+            "sightline-formats",
+            "sightline-geometry",
+            "sightline-numbers",
+            "sightline-scene"
+        ]
     );
     let all = dependencies("sightline-tetra");
     for foreign in ["wgpu", "libloading"] {

@@ -3,9 +3,10 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use sightline_exact::{Bvh, OccluderId, Occluders};
+use sightline_exact::{OccluderId, Occluders};
+use sightline_geometry::Bvh;
+use sightline_geometry::predicates::collinear;
 use sightline_numbers::Aabb;
-use sightline_scene::exact::collinear;
 use sightline_scene::{Scene, SceneError};
 
 use crate::masked;

@@ -2,13 +2,14 @@
 //! divided where hyperplanes pass through it, and ends in classes.
 
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::hyperplane::plane;
 use crate::items::{Face, Items, Reach, What};
 use crate::lambert::{Cap, Covered};
 use crate::partition::{Grown, Node, Partition};
 use crate::polygon::{Corner, Plane, Side, side, split};
-use crate::receivers::{Source, U};
+use crate::receivers::Source;
 
 /// No cap.
 const NONE: u32 = u32::MAX;

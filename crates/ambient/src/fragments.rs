@@ -2,6 +2,7 @@
 //! (section 4.2 of the paper), what it takes of the hemisphere, and the falloff.
 
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::arcs::outline;
 use crate::descend::{Ahead, Ends, Rays, Scratch};
@@ -10,7 +11,7 @@ use crate::items::Face;
 use crate::lambert::{Cap, Covered, cosine, cosine_without};
 use crate::openness::{Openness, Seen, quarters};
 use crate::polygon::Corner;
-use crate::receivers::{Receiver, U};
+use crate::receivers::Receiver;
 
 /// The circle of the distance is given by directions at most this many radians apart.
 const STEP: f64 = std::f64::consts::PI / 36.0;

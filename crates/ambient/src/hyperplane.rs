@@ -1,10 +1,11 @@
 //! Hyperplanes of edges, told for all corners of a source and whole items at once.
 
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::hull::Hull;
 use crate::polygon::Plane;
-use crate::receivers::{Source, U};
+use crate::receivers::Source;
 
 /// On which side of a hyperplane the rays to an item pass.
 pub enum Passes {

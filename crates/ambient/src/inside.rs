@@ -1,12 +1,13 @@
 //! Whether a point is inside of a closed solid of triangles that block, where nothing is ever seen.
 
 use glam::{DVec3, Vec3};
-use sightline_exact::Bvh;
+use sightline_geometry::Bvh;
+use sightline_geometry::rounding::UNIT as U;
 use sightline_numbers::Aabb;
 use sightline_scene::topology::Solids;
 use sightline_scene::{Scene, SceneError};
 
-use crate::receivers::{Receiver, U};
+use crate::receivers::Receiver;
 
 /// Directions that are tried; where a line touches an edge the next one is.
 const TRIES: u32 = 8;

@@ -2,11 +2,12 @@
 //! until they are opened (section 6.6 of the paper asks for such a far field).
 
 use glam::DVec3;
-use sightline_exact::Below;
+use sightline_geometry::Below;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::blockers::{Blockers, corners_of};
 use crate::hull::Hull;
-use crate::receivers::{Source, U};
+use crate::receivers::Source;
 
 /// On which side of a polygon's plane the source lies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -370,7 +371,7 @@ impl<'a> Items<'a> {
         if reach.is_finite() && distance(DVec3::ZERO, &corners, normal) > reach * (1.0 + 1e-9) {
             return None;
         }
-        // Differences, products and sums: as `sightline_scene::exact::orient3d_sign`.
+        // Differences, products and sums: as `sightline_geometry::predicates::orient3d_sign`.
         let error = 16.0 * U * size;
         let mut sides = [false; 2];
         let mut unsure = false;

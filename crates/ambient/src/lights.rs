@@ -1,7 +1,8 @@
 //! The form factor of the visible part of a light: a convex polygon, with what hides it.
 
 use glam::DVec3;
-use sightline_numbers::convex::{Convex, ConvexError};
+use sightline_geometry::convex::{Convex, ConvexError};
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::blockers::Blockers;
 use crate::descend::{Ends, Rays, Scratch};
@@ -9,7 +10,7 @@ use crate::items::{Items, Reach};
 use crate::lambert::{Cap, cosine};
 use crate::partition::{Partition, Tells};
 use crate::polygon::{Corner, Plane, Side, polygon, side, split};
-use crate::receivers::{Receiver, Source, U};
+use crate::receivers::{Receiver, Source};
 
 /// A light: a flat convex polygon that shines from both sides.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde::Deserialize;
 use serde_json::Value;
-use sightline_numbers::convex::ConvexError;
+use sightline_geometry::convex::ConvexError;
 
 use crate::lights::Light;
 use crate::receivers::Receiver;

@@ -2,11 +2,12 @@
 //! meets nothing within the distance.
 
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::descend::{Ends, Rays, Scratch};
 use crate::lambert::{Cap, cosine_without};
 use crate::polygon::Corner;
-use crate::receivers::{Receiver, U};
+use crate::receivers::Receiver;
 
 /// What is known of a receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,9 +1,7 @@
 //! Receivers, and the blocks of them that share a partition of rays.
 
 use glam::DVec3;
-
-/// Half a unit in the last place of 1.
-pub const U: f64 = f64::EPSILON / 2.0;
+use sightline_geometry::rounding::UNIT as U;
 
 /// A point whose openness is asked for.
 #[derive(Clone, Copy, Debug, PartialEq)]

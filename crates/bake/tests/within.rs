@@ -15,13 +15,13 @@ use std::sync::Arc;
 use common::Quiet;
 use glam::Vec3;
 use sightline_bake::{Alone, BakeScene, Control, run_tile};
+use sightline_geometry::predicates::crossed_alone;
 use sightline_model::{CellSet, JobSpec, Method, TileOutput, codec};
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
-use sightline_scene::exact::crossed_alone;
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL, Viewpoints};
 

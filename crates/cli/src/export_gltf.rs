@@ -4,11 +4,11 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
+use sightline_formats::gltf_edit::{Added, GltfError, GltfFile};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 
 use crate::error::CliError;
-use crate::gltf_file::{Added, GltfFile};
 use crate::kind_args::KindArgs;
 use crate::opening;
 use crate::output::{Format, Output};
@@ -92,9 +92,10 @@ pub fn write(path: &Path, result: &Path, pvs: &Pvs, scene_path: &Path) -> Result
     } else {
         &Added::default()
     };
-    let whole = file
-        .with(NAME, added, extension)
-        .map_err(|e| of_scene(&e))?;
+    let whole = file.with(NAME, added, extension).map_err(|e| match e {
+        GltfError::TooLarge => of_scene(&format!("{e}; use --format sidecar")),
+        e => of_scene(&e),
+    })?;
     output.write(|out| {
         out.write_all(&whole)
             .map_err(|e| CliError::writing(output.path(), &e))

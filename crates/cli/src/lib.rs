@@ -39,7 +39,6 @@ mod export;
 mod export_gltf;
 mod farm;
 mod files;
-mod gltf_file;
 mod inspect;
 mod job_args;
 mod json_lines;

@@ -58,7 +58,7 @@ pub use cells::{
     CellGroup, Decided, ExactScene, Found, GroupDecided, Places, QueryStatistics, Sources, Task,
     box_from_cell, decide, decide_group, decide_listed, from_cell,
 };
-pub use geometry::{Below, Bvh, Cell, Polygon, PolygonError, Source, polygon, predicates};
+pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;
 pub use occluders::{Occluder, OccluderId, Occluders};
 pub use search::{Antipenumbra, NoAntipenumbra, Surface, Swath, antipenumbra};

@@ -9,7 +9,7 @@ use common::{Corners, Random, World, check};
 use glam::{DVec3, Vec3};
 use sightline_certificate::proof::Step;
 use sightline_exact::{Polygon, Verdict, polygon};
-use sightline_scene::exact::orient3d_sign;
+use sightline_geometry::predicates::orient3d_sign;
 
 /// Volumes and areas in scenes no larger than 16 are off by less than 1e-10 in doubles, and change by less
 /// when the ends of a segment move to where they would be without rounding. What is clear by this much is

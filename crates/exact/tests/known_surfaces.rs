@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 use common::truth::{hidden, visible};
 use common::{Draft, Random, exact, ordered, rounded};
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::orient3d_sign;
+use sightline_geometry::predicates::orient3d_sign;
 
 #[test]
 fn the_edge_two_triangles_share_is_no_crack() {

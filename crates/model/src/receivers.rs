@@ -4,7 +4,7 @@
 //! `docs/formats/ambient.md` has the layout. Decoding trusts nothing: every count is checked against the
 //! bytes that are left before anything is allocated for it.
 
-use sightline_numbers::convex::Convex;
+use sightline_geometry::convex::Convex;
 
 /// The first bytes of receivers: their name and the version of the layout.
 const MAGIC: &[u8; 8] = b"SLRECV01";

@@ -1,4 +1,4 @@
-//! Numbers, streams of numbers, sets of numbers and convex polygons that the other crates share.
+//! Numbers, streams of numbers and sets of numbers that the other crates share.
 //!
 //! This crate depends on no other crate of the project and knows nothing of triangles, cells or results.
 //! Everything here gives the same values on every machine.
@@ -18,7 +18,6 @@
 //! ```
 
 mod aabb;
-pub mod convex;
 pub mod integer;
 pub mod random;
 pub mod union_find;

@@ -7,9 +7,9 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use sightline_exact::{Places, Polygon};
+use sightline_geometry::predicates::orient2d_sign;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
-use sightline_scene::exact::orient2d_sign;
 
 use crate::covered::divide_covered;
 use crate::open_box::walls_in_faces;

@@ -16,11 +16,10 @@
 
 use glam::{DVec2, DVec3};
 use sightline_exact::{Polygon, Source, polygon};
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::plane::{Plane, PlaneId};
 
-/// Half a unit in the last place of 1.
-const U: f64 = f64::EPSILON / 2.0;
 /// Most corners; what would have more is not clipped.
 const MOST_CORNERS: usize = 16;
 /// Normals are at most this long.

@@ -8,9 +8,8 @@ use std::cmp::Ordering;
 use dashu_int::{IBig, Sign};
 use glam::{DVec3, Vec3};
 use sightline_exact::{Polygon, Source, predicates};
+use sightline_geometry::rounding::UNIT as U;
 
-/// Half a unit in the last place of 1.
-const U: f64 = f64::EPSILON / 2.0;
 /// A coordinate that is not 0 and smaller than this may have lost bits to underflow.
 const TINY: f64 = 1e-150;
 

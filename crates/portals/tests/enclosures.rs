@@ -6,9 +6,9 @@ use std::cmp::Ordering;
 
 use glam::{Quat, Vec3};
 use proptest::prelude::*;
+use sightline_geometry::predicates::orient3d_sign;
 use sightline_numbers::Aabb;
 use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
-use sightline_scene::exact::orient3d_sign;
 use sightline_scene::{Object, Scene, Triangle};
 
 /// Two triangles a quad; corners in order.

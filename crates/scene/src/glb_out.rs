@@ -8,6 +8,7 @@ use std::io::Write;
 
 use glam::Vec3;
 use serde_json::{Value, json};
+use sightline_formats::glb;
 
 use crate::{Aabb, Scene, Triangle};
 
@@ -81,7 +82,7 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
                 .flat_map(f32::to_le_bytes),
         );
         indices.extend(numbers.iter().flat_map(|n| n.to_le_bytes()));
-        fits((positions.len() + indices.len()) as u64)?;
+        fits([(positions.len() + indices.len()) as u64])?;
     }
     let (vertex_bytes, index_bytes) = (positions.len(), indices.len());
     let binary = vertex_bytes + index_bytes;
@@ -104,20 +105,9 @@ pub fn write_glb(scene: &Scene, out: &mut dyn Write) -> Result<(), GlbError> {
         ],
         "buffers": [{ "byteLength": binary }],
     });
-    let mut text = serde_json::to_vec(&document)?;
-    // Chunks have a multiple of four bytes. JSON is padded with spaces; the binary chunk is a multiple
-    // already.
-    text.resize(text.len().next_multiple_of(4), b' ');
-    let total = fits(12 + 8 + text.len() as u64 + 8 + binary as u64)?;
-    out.write_all(b"glTF")?;
-    out.write_all(&2u32.to_le_bytes())?;
-    out.write_all(&total.to_le_bytes())?;
-    // Both parts are smaller than the total, which fits.
-    out.write_all(&(text.len() as u32).to_le_bytes())?;
-    out.write_all(b"JSON")?;
-    out.write_all(&text)?;
-    out.write_all(&(binary as u32).to_le_bytes())?;
-    out.write_all(b"BIN\0")?;
+    let text = serde_json::to_vec(&document)?;
+    let length = fits([text.len() as u64, binary as u64])?;
+    glb::begin(out, length, &text, binary as u64)?;
     out.write_all(&positions)?;
     out.write_all(&indices)?;
     out.flush()?;
@@ -130,9 +120,11 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 const TRIANGLES: u32 = 4;
 
-/// `bytes` as the 32-bit number GLB needs.
-fn fits(bytes: u64) -> Result<u32, GlbError> {
-    u32::try_from(bytes).map_err(|_| GlbError::TooLarge { bytes })
+/// Computes the length of a GLB with chunks of these lengths.
+fn fits<const N: usize>(chunks: [u64; N]) -> Result<u32, GlbError> {
+    glb::length(chunks).map_err(|_| GlbError::TooLarge {
+        bytes: chunks.iter().sum(),
+    })
 }
 
 /// The coordinates as JSON numbers that read back as the same `f32`.
@@ -352,12 +344,12 @@ mod tests {
     #[test]
     fn too_large_and_empty_objects_are_refused_before_anything_is_written() {
         assert!(matches!(
-            fits(1 << 32),
+            fits([1 << 32]),
             Err(GlbError::TooLarge {
                 bytes: 4_294_967_296
             })
         ));
-        assert_eq!(fits((1 << 32) - 1).unwrap(), u32::MAX);
+        assert_eq!(fits([(1 << 32) - 24]).unwrap(), u32::MAX - 3);
         let t = Triangle {
             v: [Vec3::ZERO, Vec3::X, Vec3::Y],
         };

@@ -17,7 +17,6 @@
 
 pub mod clusters;
 pub mod error;
-pub mod exact;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod generate;

@@ -4,7 +4,8 @@
 //! of a triangle is found with + − × ÷ and floor in `f64` alone, so every machine and every backend finds
 //! the same.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
+use sightline_geometry::vector::{cross, dot};
 
 use crate::{Kinds, SceneError};
 
@@ -181,13 +182,10 @@ impl Masks {
         let Some((mask, of)) = self.of(triangle) else {
             return false;
         };
-        // Möller and Trumbore 1997, in f64.
+        // Möller and Trumbore 1997, in f64 and a fixed order of operations.
         let v = v.map(|v| v.as_dvec3());
-        let (origin, direction) = (
-            Vec3::from(origin).as_dvec3(),
-            Vec3::from(direction).as_dvec3(),
-        );
-        let (b, c, to) = (v[1] - v[0], v[2] - v[0], origin - v[0]);
+        let (origin, direction) = (Vec3::from(origin).as_dvec3(), direction.map(f64::from));
+        let [b, c, to] = [v[1] - v[0], v[2] - v[0], origin - v[0]].map(|v| v.to_array());
         let across = cross(direction, c);
         let scale = dot(b, across);
         if scale == 0.0 {
@@ -231,19 +229,6 @@ impl Masks {
             "upload the scene again with this version of the program",
         ))
     }
-}
-
-/// The products in a fixed order of operations.
-fn dot(a: DVec3, b: DVec3) -> f64 {
-    a.x * b.x + a.y * b.y + a.z * b.z
-}
-
-fn cross(a: DVec3, b: DVec3) -> DVec3 {
-    DVec3::new(
-        a.y * b.z - a.z * b.y,
-        a.z * b.x - a.x * b.z,
-        a.x * b.y - a.y * b.x,
-    )
 }
 
 /// Gives the section of a scene's canonical bytes to `take`, in parts. Little-endian: u32 M, then M masks

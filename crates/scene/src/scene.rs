@@ -28,7 +28,7 @@ impl Triangle {
     /// Differences of `f32` coordinates are exact in `f64` only when their exponents are close, so
     /// [`crate::exact`] decides with expansion arithmetic when its filter cannot.
     pub fn is_degenerate(&self) -> bool {
-        crate::exact::collinear(self.v[0], self.v[1], self.v[2])
+        sightline_geometry::predicates::collinear(self.v[0], self.v[1], self.v[2])
     }
 
     /// The box around the three vertices.

@@ -6,7 +6,7 @@ mod shapes;
 
 use glam::Vec3;
 use proptest::prelude::*;
-use sightline_scene::exact::collinear;
+use sightline_geometry::predicates::collinear;
 use sightline_tetra::Quiet;
 use sightline_tetra::cells::{Cells, Counts, NONE, Tetrahedra, cells};
 use sightline_tetra::check::{Fault, check};

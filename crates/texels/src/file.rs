@@ -5,13 +5,11 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value, json};
+use sightline_formats::glb;
 use sightline_scene::load::uri_bytes;
 
 use crate::TexelsError;
 
-/// The types of the first two chunks of a GLB file.
-const JSON: [u8; 4] = *b"JSON";
-const BINARY: [u8; 4] = *b"BIN\0";
 /// Compressions of buffer views.
 const COMPRESSED_VIEWS: [&str; 2] = ["EXT_meshopt_compression", "KHR_meshopt_compression"];
 /// Bytes that a buffer view's start is a multiple of: the largest component of an accessor has four, and some
@@ -42,16 +40,14 @@ impl File {
             reason,
         };
         let (mut json, mut binary, mut others) = (bytes, None, Vec::new());
-        if bytes.starts_with(b"glTF") {
-            let chunks = chunks(bytes).ok_or_else(|| broken("GLB", "it is cut off".to_owned()))?;
+        if glb::is_glb(bytes) {
+            let chunks =
+                glb::chunks(bytes).map_err(|fault| broken(&fault.element(), fault.to_string()))?;
             let mut chunks = chunks.into_iter();
-            json = match chunks.next() {
-                Some((JSON, data)) => data,
-                _ => return Err(broken("GLB chunk 0", "it is not the JSON chunk".to_owned())),
-            };
+            json = chunks.next().unwrap_or_default().1;
             for (i, (kind, data)) in chunks.enumerate() {
                 match (i, kind) {
-                    (0, BINARY) => binary = Some(data),
+                    (0, glb::BINARY) => binary = Some(data),
                     _ => others.push((kind, data.to_vec())),
                 }
             }
@@ -197,18 +193,17 @@ impl File {
             }
             self.root.insert("buffers".to_owned(), json!([all]));
         }
-        let mut text = serde_json::to_vec(&self.root)?;
-        text.resize(text.len().next_multiple_of(4), b' ');
-        let mut chunks: Vec<([u8; 4], &[u8])> = vec![(JSON, &text)];
+        let text = serde_json::to_vec(&self.root)?;
+        let mut chunks: Vec<glb::Chunk<'_>> = vec![(glb::JSON, &text)];
         if !starts.is_empty() {
-            chunks.push((BINARY, &binary));
+            chunks.push((glb::BINARY, &binary));
         }
         chunks.extend(
             self.others
                 .iter()
                 .map(|(kind, data)| (*kind, data.as_slice())),
         );
-        join(&chunks).ok_or(TexelsError::TooLarge { file: self.name })
+        glb::join(&chunks).map_err(|_| TexelsError::TooLarge { file: self.name })
     }
 
     fn refuse_compressed_views(&self) -> Result<(), TexelsError> {
@@ -309,46 +304,4 @@ fn mime(uri: &str, bytes: &[u8]) -> String {
         _ => "image/jpeg",
     }
     .to_owned()
-}
-
-/// The chunks of a GLB; none if it is cut off.
-fn chunks(bytes: &[u8]) -> Option<Vec<([u8; 4], &[u8])>> {
-    let word = |at: usize| {
-        bytes
-            .get(at..)?
-            .first_chunk::<4>()
-            .map(|b| u32::from_le_bytes(*b) as usize)
-    };
-    let bytes = bytes.get(..word(8)?)?;
-    let (mut at, mut chunks) = (12, Vec::new());
-    while at + 8 <= bytes.len() {
-        let size = word(at)?;
-        let kind = bytes.get(at + 4..)?.first_chunk::<4>()?;
-        at += 8;
-        chunks.push((*kind, bytes.get(at..at.checked_add(size)?)?));
-        at += size;
-    }
-    Some(chunks)
-}
-
-/// A GLB of some chunks; none if it would be longer than its header can say.
-fn join(chunks: &[([u8; 4], &[u8])]) -> Option<Vec<u8>> {
-    let padded = |data: &[u8]| data.len().next_multiple_of(4);
-    let total = 12
-        + chunks
-            .iter()
-            .map(|(_, data)| 8 + padded(data))
-            .sum::<usize>();
-    let mut out = Vec::with_capacity(total);
-    out.extend_from_slice(b"glTF");
-    out.extend_from_slice(&2u32.to_le_bytes());
-    out.extend_from_slice(&u32::try_from(total).ok()?.to_le_bytes());
-    for (kind, data) in chunks {
-        // Both are below the total, which fits.
-        out.extend_from_slice(&(padded(data) as u32).to_le_bytes());
-        out.extend_from_slice(kind);
-        out.extend_from_slice(data);
-        out.resize(out.len().next_multiple_of(4), 0);
-    }
-    Some(out)
 }

@@ -80,10 +80,10 @@ pub unsafe extern "C" fn sightline_pvs_read(
     length: usize,
     error: *mut *mut c_char,
 ) -> *mut SightlinePvs {
-    // SAFETY: as the caller promises; a length of 0 needs no bytes.
     let bytes = if length == 0 {
         &[][..]
     } else {
+        // SAFETY: as the caller promises; a length of 0 needs no bytes.
         unsafe { std::slice::from_raw_parts(bytes, length) }
     };
     opened(Pvs::from_bytes(bytes), error)

@@ -5,6 +5,8 @@
 //! Programming", volume 2). Each operation errs by at most 2⁻¹⁰¹ of the magnitudes of its operands, as long
 //! as no intermediate value overflows or underflows.
 
+use sightline_geometry::predicates::two_sum;
+
 /// A value as the unevaluated sum of two doubles, the second at most half a unit in the last place of the
 /// first.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -12,14 +14,6 @@ pub struct DoubleDouble(pub f64, pub f64);
 
 /// Bound on the error of one operation, relative to the sum of the magnitudes of what goes in.
 pub const STEP: f64 = f64::EPSILON * f64::EPSILON * 8.0;
-
-/// a + b exactly, as sum and error.
-#[inline]
-fn two_sum(a: f64, b: f64) -> (f64, f64) {
-    let s = a + b;
-    let t = s - a;
-    (s, (a - (s - t)) + (b - t))
-}
 
 /// a + b exactly, for |a| ≥ |b|.
 #[inline]
@@ -121,7 +115,7 @@ impl DoubleDouble {
 mod tests {
     use dashu_int::IBig;
     use proptest::prelude::*;
-    use sightline_scene::exact::dyadic;
+    use sightline_geometry::predicates::dyadic;
 
     use super::*;
 

@@ -5,14 +5,11 @@
 
 use dashu_int::IBig;
 use dashu_int::ops::{BitTest, Gcd, UnsignedAbs as _};
-use sightline_scene::exact::dyadic;
+use sightline_geometry::predicates::dyadic;
 
 use crate::arithmetic::double_double::DoubleDouble;
 #[cfg(doc)]
 use crate::arithmetic::double_double::STEP;
-
-/// Half a unit in the last place of 1: the largest relative error of one rounded operation on doubles.
-pub const U: f64 = f64::EPSILON / 2.0;
 
 /// Integers `n` and one exponent `e` with `xs[i] = n[i] · 2^e`.
 pub fn integers<const N: usize>(xs: [f64; N]) -> ([IBig; N], i32) {
@@ -72,7 +69,7 @@ pub fn primitive<const N: usize>(v: &mut [IBig; N]) {
 }
 
 /// The vector scaled by a power of two until its greatest component is at least 1/2 and at most 1, each
-/// component wrong by at most [`U`]. A vector of zeros stays.
+/// component wrong by at most 2⁻⁵³. A vector of zeros stays.
 pub fn rounded<const N: usize>(v: &[IBig; N]) -> [f64; N] {
     let longest = v.iter().map(|x| x.bit_len()).max().unwrap_or(0);
     // More than a double holds, so that cutting the rest off is far below the rounding that follows.
@@ -130,6 +127,8 @@ pub fn normalised<const N: usize>(x: [f64; N]) -> ([f64; N], f64) {
 mod tests {
     use proptest::prelude::*;
 
+    use sightline_geometry::rounding::UNIT;
+
     use super::*;
 
     proptest! {
@@ -149,7 +148,7 @@ mod tests {
             let near = rounded(&big);
             let longest = v.iter().map(|x| 64 - x.unsigned_abs().leading_zeros()).max().unwrap_or(0);
             for (x, n) in v.iter().zip(near) {
-                prop_assert!((*x as f64 / f64::powi(2.0, longest as i32) - n).abs() <= 2.0 * U);
+                prop_assert!((*x as f64 / f64::powi(2.0, longest as i32) - n).abs() <= 2.0 * UNIT);
             }
         }
     }

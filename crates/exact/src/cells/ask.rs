@@ -10,13 +10,13 @@ use crate::cells::from_cell::{Found, faces_towards, from_cell};
 use crate::cells::rays;
 use crate::cells::sources::Sources;
 use crate::cells::work::{State, Work};
-use crate::geometry::bvh::Below;
 use crate::geometry::polygon::{Polygon, rounded};
 use crate::geometry::{Source, predicates};
 use crate::occluders::segment::shows;
 use crate::occluders::{OccluderId, Occluders};
 use crate::search::{Cost, Reason};
 use sightline_certificate::{Target, Witness};
+use sightline_geometry::bvh::Below;
 
 /// How far a rounded witness extends beyond the triangle, as a fraction of the segment's length.
 const BEYOND: f64 = 1e-5;

@@ -10,8 +10,8 @@ use crate::cells::ask::{Asked, Item};
 use crate::cells::from_cell::Found;
 use crate::cells::progress::Progress;
 use crate::cells::work::{State, Work};
-use crate::geometry::bvh::Below;
 use crate::occluders::OccluderId;
+use sightline_geometry::bvh::Below;
 
 /// Number of queries that run in parallel: enough to keep a few cores busy, few enough to keep the order by
 /// size.

@@ -1,8 +1,8 @@
 //! The states of the triangles below each node of the hierarchy while they are decided.
 
 use crate::cells::work::State;
-use crate::geometry::bvh::Below;
 use crate::occluders::Occluders;
+use sightline_geometry::bvh::Below;
 
 /// The states of the triangles below a node, summarised.
 #[derive(Clone, Copy, Default)]

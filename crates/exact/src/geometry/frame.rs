@@ -7,9 +7,10 @@
 
 use dashu_int::IBig;
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
-use crate::arithmetic::number::{U, double_double, homogeneous, integers, primitive};
+use crate::arithmetic::number::{double_double, homogeneous, integers, primitive};
 
 /// Entries of the rows are multiples of 1/64, which turns the axes to within a degree.
 const STEPS: f64 = 64.0;

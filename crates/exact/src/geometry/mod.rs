@@ -1,13 +1,11 @@
 //! Points, planes, polygons and boxes in world space, and the frame of a query.
 
-pub(crate) mod bvh;
 pub(crate) mod frame;
 pub(crate) mod parts;
 pub mod polygon;
 pub mod predicates;
 mod view_cell;
 
-pub use bvh::{Below, Bvh};
 pub use frame::Source;
 pub use polygon::{Polygon, PolygonError};
 pub use view_cell::Cell;

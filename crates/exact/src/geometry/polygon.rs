@@ -5,10 +5,11 @@ use std::cmp::Ordering;
 use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 use glam::{DVec3, Vec3Swizzles as _};
+use sightline_geometry::predicates::differences;
+use sightline_geometry::rounding::UNIT as U;
 use sightline_numbers::Aabb;
-use sightline_scene::exact::differences;
 
-use crate::arithmetic::number::{U, primitive};
+use crate::arithmetic::number::primitive;
 use crate::geometry::frame::{Source, point_doubles};
 use crate::geometry::predicates::{height, integers, orient, plane, sign};
 

@@ -7,9 +7,10 @@ use std::cmp::Ordering;
 
 use dashu_int::{IBig, Sign};
 use glam::{DVec3, Vec3Swizzles as _};
-use sightline_scene::exact::{det3_small, differences};
+use sightline_geometry::predicates::{det3_small, differences};
+use sightline_geometry::rounding::UNIT as U;
 
-use crate::arithmetic::number::{U, homogeneous};
+use crate::arithmetic::number::homogeneous;
 use crate::geometry::frame::{Point, Source};
 
 /// The sign of an integer.
@@ -27,7 +28,8 @@ pub fn sign(x: &IBig) -> Ordering {
 ///
 /// A difference is off by at most e: the errors of both points and a rounding. The determinant is then off by
 /// at most 6 products of one difference's error and the others' sizes for each of the three differences, and
-/// by 16u of the products' magnitudes for its own roundings (as in `sightline_scene::exact::orient3d_sign`).
+/// by 16u of the products' magnitudes for its own roundings (as in
+/// `sightline_geometry::predicates::orient3d_sign`).
 pub fn orient_points(p: [&Point; 4]) -> Option<Ordering> {
     let d = |i: usize| -> ([f64; 3], f64, f64) {
         let x: [f64; 3] = std::array::from_fn(|k| p[i].at[k] - p[0].at[k]);

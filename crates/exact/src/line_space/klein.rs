@@ -9,8 +9,9 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use dashu_int::ops::{Abs as _, BitTest as _, SquareRoot as _};
+use sightline_geometry::rounding::UNIT as U;
 
-use crate::arithmetic::number::{U, rounded};
+use crate::arithmetic::number::rounded;
 use crate::geometry::predicates::sign;
 use crate::line_space::cone::Region;
 use crate::line_space::forms::{Forms, crossing};

@@ -21,8 +21,8 @@ use std::cmp::Ordering;
 
 use glam::DVec3;
 use rustc_hash::FxHashMap;
+use sightline_geometry::rounding::UNIT as U;
 
-use crate::arithmetic::number::U;
 use crate::geometry::polygon::Polygon;
 use crate::line_space::cone::{MOST_HALVES, Region};
 use crate::line_space::space::{Space, Through, VectorId};

@@ -5,8 +5,8 @@ use std::cmp::Ordering;
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::proof::OccluderTriangle;
+use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 use sightline_numbers::union_find::UnionFind;
-use sightline_scene::exact::{orient2d_sign, orient3d_sign};
 
 use super::occluder::{Occluder, OccluderId, border};
 

@@ -7,7 +7,7 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::{Crossing, crossing, orient3d_sign};
+use sightline_geometry::predicates::{Crossing, crossing, orient3d_sign};
 
 use super::set::Occluders;
 

@@ -9,7 +9,7 @@ use sightline_scene::{Scene, SceneError};
 use super::boundary_edges::BoundaryEdges;
 use super::merge::Faces;
 use super::occluder::{Occluder, OccluderId, border};
-use crate::geometry::bvh::Bvh;
+use sightline_geometry::bvh::Bvh;
 
 /// All occluders of a scene.
 pub struct Occluders {

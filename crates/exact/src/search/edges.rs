@@ -4,7 +4,7 @@
 
 use glam::Vec3;
 use rustc_hash::FxHashMap;
-use sightline_scene::exact::collinear;
+use sightline_geometry::predicates::collinear;
 
 use crate::line_space::space::{Space, VectorId};
 use crate::search::corners::Corners;

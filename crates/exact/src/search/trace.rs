@@ -3,8 +3,8 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
+use sightline_geometry::rounding::UNIT as U;
 
-use crate::arithmetic::number::U;
 use crate::line_space::space::Space;
 use crate::line_space::stabbing_polyhedron::Pair;
 use crate::occluders::Occluders;

@@ -16,8 +16,8 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_geometry::predicates::orient3d_sign;
 use sightline_numbers::union_find::UnionFind;
-use sightline_scene::exact::orient3d_sign;
 
 use super::crossing_order::sooner;
 use super::patches::cover;
@@ -26,7 +26,7 @@ use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
 use sightline_certificate::certificate::few_odd_edges;
-use sightline_scene::exact::{Crossing, crossing};
+use sightline_geometry::predicates::{Crossing, crossing};
 
 /// Segments tried to find a parity; most first ones are in general position.
 const TRIES: u32 = 6;

@@ -4,9 +4,10 @@ use std::cmp::Ordering;
 
 use dashu_int::ops::Abs as _;
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::det3;
+use sightline_geometry::predicates::det3;
+use sightline_geometry::rounding::UNIT as U;
 
-use crate::arithmetic::number::{U, homogeneous};
+use crate::arithmetic::number::homogeneous;
 use crate::geometry::predicates;
 
 /// Compares the places where a segment passes through two triangles: `Less` if it crosses `u` first.
@@ -53,7 +54,7 @@ fn sooner_exact(u: &[Vec3; 3], t: &[Vec3; 3], from: Vec3, to: Vec3) -> Ordering 
 /// Returns the distance of a point from a triangle's plane, times twice the area, and a bound on its error.
 ///
 /// The error is at most 8u of the products' magnitudes: 7u as in the filter of
-/// [`sightline_scene::exact::orient3d_sign`], and u for the last addition. The bound is twice that.
+/// [`sightline_geometry::predicates::orient3d_sign`], and u for the last addition. The bound is twice that.
 fn height(t: &[Vec3; 3], p: Vec3) -> (f64, f64) {
     let [a, x, y, z] = [t[0], t[1], t[2], p].map(|v| v.as_dvec3());
     let d = |x: DVec3| (x - a).to_array();
@@ -65,8 +66,8 @@ fn height(t: &[Vec3; 3], p: Vec3) -> (f64, f64) {
 mod tests {
     use dashu_int::IBig;
     use proptest::prelude::*;
+    use sightline_geometry::predicates::dyadic;
     use sightline_numbers::random::SplitMix64;
-    use sightline_scene::exact::dyadic;
 
     use super::*;
 

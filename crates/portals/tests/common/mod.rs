@@ -4,10 +4,10 @@
 
 use glam::{Quat, Vec3};
 use sightline_exact::{Cell, ExactScene, Task, decide};
+use sightline_geometry::predicates::crossed_alone;
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Limits, Partition, sights};
-use sightline_scene::exact::crossed_alone;
 use sightline_scene::{Object, Scene, Triangle};
 
 /// Two triangles a quad; corners in order.

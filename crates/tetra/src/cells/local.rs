@@ -9,8 +9,8 @@ use std::cmp::Ordering;
 
 use dashu_int::IBig;
 use rustc_hash::FxHashMap;
+use sightline_geometry::predicates::dyadic;
 use sightline_numbers::integer::ratio;
-use sightline_scene::exact::dyadic;
 
 use super::number::{Approx, Number, along_axis, meet, through_points, value};
 use super::planes::{NONE, Plane};

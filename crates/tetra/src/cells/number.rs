@@ -4,6 +4,7 @@
 //! modulo 2⁶¹ − 1 ([`Residue`]), from which names of planes are made.
 
 use dashu_int::IBig;
+use sightline_geometry::rounding::UNIT as U;
 
 /// What the formulas need of a number.
 pub trait Number: Clone {
@@ -31,9 +32,6 @@ impl Number for IBig {
         Self::ZERO
     }
 }
-
-/// Half a unit in the last place of 1.
-const U: f64 = f64::EPSILON / 2.0;
 
 /// A double and a bound on its distance from the truth, for numbers whose magnitudes stay below 10⁶.
 ///

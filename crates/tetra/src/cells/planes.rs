@@ -7,7 +7,7 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rustc_hash::FxHashMap;
-use sightline_scene::exact::{dyadic, orient2d_sign, orient3d_sign};
+use sightline_geometry::predicates::{dyadic, orient2d_sign, orient3d_sign};
 
 use super::number::{Number, Residue, along_axis, through_points};
 

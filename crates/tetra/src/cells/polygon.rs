@@ -4,7 +4,7 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
-use sightline_scene::exact::orient3d_sign;
+use sightline_geometry::predicates::orient3d_sign;
 
 use super::local::Local;
 

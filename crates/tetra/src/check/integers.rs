@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use dashu_int::IBig;
 use rustc_hash::FxHashMap;
-use sightline_scene::exact::dyadic;
+use sightline_geometry::predicates::dyadic;
 
 use crate::cells::{CellsView, Plane};
 

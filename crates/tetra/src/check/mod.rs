@@ -25,7 +25,7 @@ use dashu_int::IBig;
 use dashu_int::ops::BitTest as _;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
-use sightline_scene::exact::dyadic;
+use sightline_geometry::predicates::dyadic;
 
 use crate::cells::{CellsView, NONE};
 use crate::file::Contents;

@@ -12,12 +12,10 @@ use std::ops::{Add, Mul, Sub};
 
 use dashu_int::IBig;
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::{differences, dyadic, orient3d_sign, small_integers};
+use sightline_geometry::predicates::{differences, dyadic, orient3d_sign, small_integers};
+use sightline_geometry::rounding::UNIT as U;
 
 use super::ties;
-
-/// Half a unit in the last place of 1: the largest relative error of one rounded operation.
-const U: f64 = f64::EPSILON / 2.0;
 
 /// Error bound of an orientation's sign, relative to the product of the largest differences of each axis.
 ///

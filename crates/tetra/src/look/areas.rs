@@ -1,9 +1,11 @@
 //! Solid angles of beams, also of the part of a beam within round cones.
 
+use sightline_geometry::vector::{cross, dot};
+
 use std::f64::consts::PI;
 
 use super::beam::Edge;
-use super::rounded::{V, cross, dot, unit};
+use super::rounded::{V, unit};
 
 /// The solid angle of the triangle of three unit vectors (van Oosterom and Strackee, "The Solid Angle of a
 /// Plane Triangle", 1983).

@@ -5,9 +5,11 @@
 //! plane between the corners v and w has its normal on the side of v × w. Angles are below a right angle,
 //! because beams begin as octants.
 
+use sightline_geometry::vector::dot;
+
 use super::eye::Eye;
 use super::planes::{Corner, Facing, Kind, Plane, Planes, Side};
-use super::rounded::{BOUND, Rounded, dot, unit};
+use super::rounded::{BOUND, Rounded, unit};
 
 /// A corner of a ring and the side of the border from it to the next corner.
 #[derive(Clone, Copy, Debug)]

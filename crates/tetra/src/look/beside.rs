@@ -3,9 +3,12 @@
 //! Most triangles that are compared with a beam are beside it and share a point or an edge with what is seen
 //! in it. What is answered is certain; what is left open is decided by [`super::outline`].
 
+use sightline_geometry::rounding::UNIT as U;
+use sightline_geometry::vector::{cross, dot};
+
 use super::beam::Edge;
 use super::eye::Eye;
-use super::rounded::{LEAST, Number, U, V, cross, dot, size};
+use super::rounded::{LEAST, Number, V, size};
 
 /// The edges of a triangle, as seen from the viewpoint.
 pub(super) struct Edges {

@@ -5,7 +5,8 @@
 
 use dashu_int::IBig;
 use glam::{DVec3, Vec3};
-use sightline_scene::exact::{det3_small, differences, dyadic, orient3d_sign};
+use sightline_geometry::predicates::{det3_small, differences, dyadic, orient3d_sign};
+use sightline_geometry::rounding::UNIT as U;
 
 use super::rounded::Rounded;
 
@@ -158,7 +159,7 @@ pub fn rounded(a: &Integers) -> Rounded {
     let it = Rounded { v, error: 0.0 }.scaled();
     // What was cut off is less than one unit of 120 bits; the conversion rounds to nearest.
     Rounded {
-        error: it.size() * 2.0 * super::rounded::U,
+        error: it.size() * 2.0 * U,
         ..it
     }
 }

@@ -3,11 +3,13 @@
 //! What a beam is cut by first decides how many parts it is cut into, and never what is seen. A triangle that
 //! is hidden cuts in vain, one that is seen does not. So doubles without bounds are enough here.
 
+use sightline_geometry::vector::{cross, dot};
+
 use crate::surfaces::BLOCKS;
 
 use super::beam::center;
 use super::planes::Facing;
-use super::rounded::{V, cross, dot};
+use super::rounded::V;
 use super::search::Search;
 use super::stack::Beam;
 

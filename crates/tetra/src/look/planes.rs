@@ -5,8 +5,10 @@
 //! is the cross product of two normals, and a side is the sign of a determinant of three. Doubles with bounds
 //! decide most signs; what a corner and a plane have in common decides most zeros; integers decide the rest.
 
+use sightline_geometry::rounding::UNIT as U;
+
 use super::eye::{self, Eye, Integers};
-use super::rounded::{Number, Rounded, U};
+use super::rounded::{Number, Rounded};
 
 /// What defines a plane through the viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -310,7 +312,7 @@ fn normal_exactly(eye: &Eye<'_>, kind: Kind) -> Integers {
             std::array::from_fn(|k| &h * &m[k] - &g * &n[k])
         }
         Kind::Normal(n) => {
-            use sightline_scene::exact::dyadic;
+            use sightline_geometry::predicates::dyadic;
             let unit = eye::unit_of(n.iter().copied());
             n.map(|c| {
                 let (mantissa, exponent) = dyadic(c);

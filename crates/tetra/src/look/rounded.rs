@@ -6,8 +6,8 @@
 //! coordinates is below 2⁷⁶⁰. A viewpoint can be so near to a point that products underflow: each loses less
 //! than [`LEAST`] then.
 
-/// Half a unit in the last place of 1.
-pub const U: f64 = f64::EPSILON / 2.0;
+use sightline_geometry::rounding::UNIT as U;
+use sightline_geometry::vector::dot;
 
 /// More than what underflow takes away from a few products.
 pub const LEAST: f64 = f64::MIN_POSITIVE;
@@ -17,20 +17,6 @@ pub const BOUND: f64 = 1e-12;
 
 /// A vector without a bound.
 pub type V = [f64; 3];
-
-/// The scalar product, without a bound.
-pub fn dot(a: V, b: V) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// The cross product, without a bound.
-pub fn cross(a: V, b: V) -> V {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
-}
 
 /// The largest magnitude of a component.
 #[inline]

@@ -8,10 +8,10 @@
 //! that nothing is left out.
 
 use glam::{DVec3, Vec3, Vec3A, Vec4};
+use sightline_geometry::rounding::UNIT as U;
 
 use super::beam::{Edge, radius};
 use super::planes::{Facing, Planes};
-use super::rounded::U;
 
 /// Planes that are tried together.
 const LANES: usize = 4;

@@ -5,12 +5,14 @@
 //! misses costs time and changes nothing. What a beam found in a cell waits in its parts, so none enters the
 //! cell again.
 
+use sightline_geometry::rounding::UNIT as U;
+
 use crate::cells::{CellsView, NONE};
 
 use super::beam::Edge;
 use super::eye::{self, Eye, Integers};
 use super::planes::{Facing, Planes};
-use super::rounded::{Rounded, U};
+use super::rounded::Rounded;
 use super::stack::Entry;
 
 /// In place of a number of triangles: a cell to enter by the face that is listed.

@@ -1,9 +1,11 @@
 //! The round cone and the distance that limit a view.
 
+use sightline_geometry::vector::{cross, dot};
+
 use super::areas::{Cone, area, area_within, is_within};
 use super::beam::Edge;
 use super::planes::{Facing, Kind, Plane, Planes, Side};
-use super::rounded::{Rounded, cross, dot, unit};
+use super::rounded::{Rounded, unit};
 use super::view::View;
 
 /// The limits of a view.

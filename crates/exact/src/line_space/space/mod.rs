@@ -12,6 +12,7 @@ use dashu_int::IBig;
 use dashu_int::ops::UnsignedAbs as _;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
+use sightline_geometry::rounding::UNIT as U;
 
 mod cross;
 mod rounded;
@@ -22,7 +23,7 @@ mod tests;
 mod zeros;
 
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
-use crate::arithmetic::number::{U, integers, primitive, rounded_double_double};
+use crate::arithmetic::number::{integers, primitive, rounded_double_double};
 use crate::geometry::frame::{Frame, Place, Point, Source};
 
 /// A vector of a [`Space`], by its index there.

@@ -5,12 +5,13 @@
 //! needed. Where that fails, the cut is computed in double-doubles from its parents, after all vectors they
 //! are constructed from.
 
+use sightline_geometry::rounding::UNIT as U;
 use std::cmp::Ordering;
 
 use super::solved::Solved;
 use super::{Near, Origin, Space, Vector, VectorId, klein};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
-use crate::arithmetic::number::{U, normalised, rounded_double_double};
+use crate::arithmetic::number::{normalised, rounded_double_double};
 
 /// Rays that may be off by more than this are solved from the lines they are on, or computed in
 /// double-doubles, at once; rays that are still off by as much are computed exactly. The search for lines in

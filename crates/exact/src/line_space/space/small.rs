@@ -2,7 +2,7 @@
 //! many pencils.
 
 use glam::DVec3;
-use sightline_scene::exact::{differences, small_integers};
+use sightline_geometry::predicates::{differences, small_integers};
 
 /// Whether three lines through two points each are linearly dependent as vectors, if all points are small
 /// integers relative to the first; None otherwise.

@@ -5,9 +5,10 @@
 //! the lines l it is on, which are known to the last bit, and solving that system has one condition number
 //! and no chain.
 
+use sightline_geometry::rounding::UNIT as U;
+
 use super::{Space, VectorId};
 use crate::arithmetic::double_double::{DoubleDouble, STEP};
-use crate::arithmetic::number::U;
 
 /// Pivots below this mean that the lines do not determine the ray, as far as doubles can tell.
 const LEAST_PIVOT: f64 = 1e-12;

@@ -8,9 +8,9 @@
 use std::cmp::Ordering;
 
 use glam::DVec3;
+use sightline_geometry::rounding::UNIT as U;
 
 use super::{Meeting, Origin, Space, Tight, VectorId};
-use crate::arithmetic::number::U;
 
 impl Space {
     /// The sign for a ray that is known to be on all of `tight`, where doubles could not tell.

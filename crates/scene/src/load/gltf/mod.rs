@@ -50,6 +50,7 @@ use super::names::Names;
 use crate::kinds::Kind;
 use crate::masks::{Masks, Part};
 use crate::{Object, Scene, SceneError, Side, Triangle};
+use sightline_formats::glb;
 
 /// Reads a `.gltf` file.
 pub(super) fn parse_json(
@@ -82,55 +83,14 @@ pub(super) fn parse_glb(
     limits: &Limits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    let bad = |element: &str, reason: String| SceneError::bad(file, element, reason, EXPORT_AGAIN);
-    let word = |at: usize| {
-        bytes
-            .get(at..)?
-            .first_chunk::<4>()
-            .map(|b| u32::from_le_bytes(*b))
+    let chunks = glb::chunks(bytes)
+        .map_err(|fault| SceneError::bad(file, fault.element(), fault.to_string(), EXPORT_AGAIN))?;
+    // The format asks readers to step over chunks that they do not know.
+    let (json, binary) = match chunks[..] {
+        [(_, json), (glb::BINARY, binary), ..] => (json, Some(binary)),
+        [(_, json), ..] => (json, None),
+        [] => (&[][..], None),
     };
-    let (Some(version), Some(length)) = (word(4), word(8)) else {
-        return Err(bad("GLB header", "the file ends within it".to_owned()));
-    };
-    if version != 2 {
-        return Err(bad(
-            "GLB header",
-            format!("its version is {version}, and must be 2"),
-        ));
-    }
-    let Some(bytes) = bytes.get(..length as usize) else {
-        let reason = format!(
-            "it announces {length} bytes, but the file has {}",
-            bytes.len()
-        );
-        return Err(bad("GLB header", reason));
-    };
-    let mut json = None;
-    let mut binary = None;
-    let mut at = 12;
-    for chunk in 0.. {
-        let Some(head) = bytes.get(at..).and_then(|b| b.first_chunk::<8>()) else {
-            break;
-        };
-        let [l0, l1, l2, l3, kind @ ..] = *head;
-        let len = u32::from_le_bytes([l0, l1, l2, l3]) as usize;
-        at += 8;
-        let Some(data) = at.checked_add(len).and_then(|end| bytes.get(at..end)) else {
-            let reason = format!(
-                "it announces {len} bytes, but {} are left",
-                bytes.len() - at
-            );
-            return Err(bad(&format!("GLB chunk {chunk}"), reason));
-        };
-        match (chunk, &kind) {
-            (0, b"JSON") => json = Some(data),
-            (1, b"BIN\0") => binary = Some(data),
-            // The format asks readers to step over chunks they do not know.
-            _ => {}
-        }
-        at += len;
-    }
-    let json = json.ok_or_else(|| bad("GLB chunk 0", "it is not the JSON chunk".to_owned()))?;
     let alpha_textures = marks.reads_alpha();
     build(
         &Source {

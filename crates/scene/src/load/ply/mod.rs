@@ -6,13 +6,9 @@
 //! triangles directly, so that memory is proportional to the mesh whatever the header announces, and its
 //! errors name the element and the property.
 
-mod header;
-mod value;
-
 use glam::Vec3;
+use sightline_formats::ply::{Ascii, Binary, Element, Format, Header, Property, Values, read};
 
-use self::header::{Element, Format, Header, Property};
-use self::value::{Ascii, Binary, Values};
 use super::limits::{EXPORT_AGAIN, Limits, REPAIR_VERTEX, too_many_triangles};
 use super::marks::{Mark, Marks};
 use crate::{Object, Scene, SceneError, Triangle};
@@ -24,7 +20,10 @@ pub(super) fn parse(
     limits: &Limits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    let header = header::read(file, bytes)?;
+    let header = read(bytes).map_err(|fault| {
+        let element = format!("header line {}", fault.line);
+        SceneError::bad(file, element, fault.reason, EXPORT_AGAIN)
+    })?;
     let body = &bytes[header.body..];
     let mut r = Reader {
         file,

@@ -4,7 +4,7 @@ use super::header::{NumberKind, Property};
 
 /// A stream of numbers. Every read returns `None` when the next number is missing or malformed;
 /// [`Values::why`] then says which.
-pub(super) trait Values {
+pub trait Values {
     /// The next number, rounded to `f32`.
     fn float(&mut self, kind: NumberKind) -> Option<f32>;
     /// The next number, which must be an integer.
@@ -26,7 +26,7 @@ pub(super) trait Values {
 }
 
 /// Numbers as text, separated by white space.
-pub(super) struct Ascii<'a> {
+pub struct Ascii<'a> {
     body: &'a [u8],
     at: usize,
     /// Where the last token began.
@@ -37,7 +37,7 @@ pub(super) struct Ascii<'a> {
 
 impl<'a> Ascii<'a> {
     /// Over `body`, which comes after `lines` lines.
-    pub(super) fn new(body: &'a [u8], lines: usize) -> Self {
+    pub fn new(body: &'a [u8], lines: usize) -> Self {
         Self {
             body,
             at: 0,
@@ -116,14 +116,14 @@ impl Values for Ascii<'_> {
 }
 
 /// Numbers as bytes.
-pub(super) struct Binary<'a> {
+pub struct Binary<'a> {
     rest: &'a [u8],
     big: bool,
 }
 
 impl<'a> Binary<'a> {
     /// Over `body`; `big` says that the most significant byte comes first.
-    pub(super) fn new(body: &'a [u8], big: bool) -> Self {
+    pub fn new(body: &'a [u8], big: bool) -> Self {
         Self { rest: body, big }
     }
 

@@ -10,8 +10,7 @@ use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
 
-/// Half a unit in the last place of 1: the largest relative error of one rounded `f64` operation.
-const U: f64 = f64::EPSILON / 2.0;
+use crate::rounding::UNIT as U;
 
 /// Whether the three points lie on one line (or coincide): all three components of (b − a) × (c − a) are 0.
 pub fn collinear(a: Vec3, b: Vec3, c: Vec3) -> bool {
@@ -238,7 +237,7 @@ pub fn det3(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> (f64, f64) {
 
 /// Twelve doubles whose exact sum is the determinant with rows `x`, `y`, `z`: each of the six products of
 /// three `f32` (72 bits) as its rounded value and the exact error of that.
-pub(crate) fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
+pub fn det3_terms(x: Vec3, y: Vec3, z: Vec3) -> [f64; 12] {
     let mut out = [0.0; 12];
     for (pair, (i, j, k, minus)) in out.chunks_exact_mut(2).zip([
         (0, 1, 2, false),
@@ -290,14 +289,14 @@ fn sum_sign<const N: usize>(terms: [f64; N]) -> Ordering {
 
 /// The exact sum of any number of doubles, for totals over whole meshes.
 #[derive(Default)]
-pub(crate) struct Sum {
+pub struct Sum {
     /// Non-overlapping, growing in magnitude, no zeros.
     expansion: Vec<f64>,
 }
 
 impl Sum {
     /// Adds `term` exactly.
-    pub(crate) fn add(&mut self, term: f64) {
+    pub fn add(&mut self, term: f64) {
         let mut q = term;
         self.expansion.retain_mut(|e| {
             (q, *e) = two_sum(q, *e);
@@ -309,13 +308,14 @@ impl Sum {
     }
 
     /// The sign of the sum.
-    pub(crate) fn sign(&self) -> Ordering {
+    pub fn sign(&self) -> Ordering {
         sign(self.expansion.last().copied().unwrap_or(0.0))
     }
 }
 
-/// `a + b` as rounded sum and exact error (Knuth's two-sum).
-fn two_sum(a: f64, b: f64) -> (f64, f64) {
+/// Computes `a + b` as the rounded sum and its exact error (Knuth's two-sum).
+#[inline]
+pub fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
     let bb = sum - a;
     (sum, (a - (sum - bb)) + (b - bb))

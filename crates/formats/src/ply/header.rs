@@ -1,26 +1,44 @@
 //! The header of a PLY file: its format, and the elements with their counts and properties.
 
-use crate::SceneError;
-use crate::load::limits::EXPORT_AGAIN;
+/// A header that cannot be read: the number of the line, from 1, and the fault.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("header line {line}: {reason}")]
+pub struct HeaderFault {
+    /// The line.
+    pub line: usize,
+    /// The fault.
+    pub reason: String,
+}
 
-/// How the values after the header are written.
+/// The encoding of the values behind the header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Format {
+pub enum Format {
+    /// Text.
     Ascii,
+    /// Bytes, the least significant one first.
     BinaryLittle,
+    /// Bytes, the most significant one first.
     BinaryBig,
 }
 
 /// The type of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum NumberKind {
+pub enum NumberKind {
+    /// `char` or `int8`.
     I8,
+    /// `uchar` or `uint8`.
     U8,
+    /// `short` or `int16`.
     I16,
+    /// `ushort` or `uint16`.
     U16,
+    /// `int` or `int32`.
     I32,
+    /// `uint` or `uint32`.
     U32,
+    /// `float` or `float32`.
     F32,
+    /// `double` or `float64`.
     F64,
 }
 
@@ -41,7 +59,7 @@ impl NumberKind {
     }
 
     /// Bytes in a binary file.
-    pub(super) fn size(self) -> usize {
+    pub fn size(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
             Self::I16 | Self::U16 => 2,
@@ -57,35 +75,44 @@ impl NumberKind {
 
 /// One property of an element: a number, or a list of them.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Property {
-    pub(super) name: String,
+pub struct Property {
+    /// The name, cut to 64 characters.
+    pub name: String,
     /// Type of the number, or of the values of the list.
-    pub(super) kind: NumberKind,
+    pub kind: NumberKind,
     /// Type of the list's length, for a list.
-    pub(super) list: Option<NumberKind>,
+    pub list: Option<NumberKind>,
 }
 
 /// An element and the count that the header announces, which is not trusted.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Element {
-    pub(super) name: String,
-    pub(super) count: u64,
-    pub(super) properties: Vec<Property>,
+pub struct Element {
+    /// The name, cut to 64 characters.
+    pub name: String,
+    /// The announced count.
+    pub count: u64,
+    /// The properties, in the order of their values.
+    pub properties: Vec<Property>,
 }
 
 /// The whole header.
 #[derive(Debug)]
-pub(super) struct Header {
-    pub(super) format: Format,
-    pub(super) elements: Vec<Element>,
+pub struct Header {
+    /// The encoding of the body.
+    pub format: Format,
+    /// The elements, in the order of the body.
+    pub elements: Vec<Element>,
     /// Offset of the first byte after it.
-    pub(super) body: usize,
+    pub body: usize,
     /// Number of its lines.
-    pub(super) lines: usize,
+    pub lines: usize,
 }
 
-/// Reads the header.
-pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
+/// Reads the header at the beginning of a file.
+///
+/// # Errors
+/// [`HeaderFault`] with the line at fault.
+pub fn read(bytes: &[u8]) -> Result<Header, HeaderFault> {
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
     let mut at = 0;
@@ -93,9 +120,7 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<Header, SceneError> {
     loop {
         // At most one line a byte, so this cannot overflow.
         line += 1;
-        let bad = |reason: String| {
-            SceneError::bad(file, format!("header line {line}"), reason, EXPORT_AGAIN)
-        };
+        let bad = |reason: String| HeaderFault { line, reason };
         let rest = bytes.get(at..).unwrap_or_default();
         let Some(len) = rest.iter().position(|b| *b == b'\n' || *b == b'\r') else {
             return Err(bad("the file ends before end_header".to_owned()));

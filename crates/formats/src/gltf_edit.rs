@@ -7,9 +7,7 @@ use std::ops::Range;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_json::{Value, json};
 
-/// The types of the first two chunks of a GLB file.
-const JSON: [u8; 4] = *b"JSON";
-const BINARY: [u8; 4] = *b"BIN\0";
+use crate::glb::{self, BINARY, Chunk, GlbFault, JSON};
 
 /// Why an extension cannot be added.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
@@ -17,11 +15,14 @@ pub enum GltfError {
     /// The file is damaged.
     #[error("{0}; export it again from the program that made it")]
     Broken(&'static str),
+    /// The container is damaged.
+    #[error("{element}: {0}; export it again from the program that made it", element = .0.element())]
+    Container(GlbFault),
     /// The extension is there.
     #[error("it has the extension {0} already; name the file without it")]
     There(&'static str),
     /// A GLB file cannot be that long.
-    #[error("with the extension it would be longer than the 4 GiB of a GLB; use --format sidecar")]
+    #[error("with the extension it would be longer than the 4 GiB of a GLB")]
     TooLarge,
 }
 
@@ -29,7 +30,7 @@ pub enum GltfError {
 pub struct GltfFile<'a> {
     json: &'a str,
     /// The chunks of a GLB after its JSON: their types and bytes. `None` for a file that is JSON.
-    chunks: Option<Vec<([u8; 4], &'a [u8])>>,
+    chunks: Option<Vec<Chunk<'a>>>,
 }
 
 /// Bytes for an extension, which become consecutive buffer views of the binary chunk.
@@ -57,38 +58,17 @@ impl Added {
 impl<'a> GltfFile<'a> {
     /// The parts of a file.
     pub fn parse(bytes: &'a [u8]) -> Result<Self, GltfError> {
-        if !bytes.starts_with(b"glTF") {
+        if !glb::is_glb(bytes) {
             return Ok(Self {
                 json: text(bytes)?,
                 chunks: None,
             });
         }
-        let cut_off = || GltfError::Broken("the file is cut off");
-        let word = |at: usize| {
-            bytes
-                .get(at..)?
-                .first_chunk::<4>()
-                .map(|b| u32::from_le_bytes(*b) as usize)
-        };
-        let end = word(8)
-            .filter(|end| *end <= bytes.len())
-            .ok_or_else(cut_off)?;
-        let (mut at, mut chunks) = (12, Vec::new());
-        while at < end {
-            let size = word(at).ok_or_else(cut_off)?;
-            let kind = bytes
-                .get(at + 4..)
-                .and_then(|b| b.first_chunk::<4>())
-                .ok_or_else(cut_off)?;
-            chunks.push((*kind, bytes.get(at + 8..at + 8 + size).ok_or_else(cut_off)?));
-            at += 8 + size;
-        }
-        let (JSON, first) = chunks.first().copied().unwrap_or_default() else {
-            return Err(GltfError::Broken("its first chunk is not JSON"));
-        };
+        let mut chunks = glb::chunks(bytes).map_err(GltfError::Container)?;
+        let (_, json) = chunks.remove(0);
         Ok(Self {
-            json: text(first)?,
-            chunks: Some(chunks.split_off(1)),
+            json: text(json)?,
+            chunks: Some(chunks),
         })
     }
 
@@ -190,31 +170,18 @@ impl<'a> GltfFile<'a> {
         let Some(chunks) = &self.chunks else {
             return Ok(json.as_bytes().to_vec());
         };
-        let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
-        let mut put = |kind: [u8; 4], bytes: &[u8], fill: u8| {
-            let mut bytes = bytes.to_vec();
-            bytes.resize(bytes.len().next_multiple_of(4), fill);
-            let size = u32::try_from(bytes.len()).map_err(|_| GltfError::TooLarge)?;
-            out.extend(size.to_le_bytes());
-            out.extend(kind);
-            out.extend(bytes);
-            Ok(())
-        };
-        put(JSON, json.as_bytes(), b' ')?;
+        let longer: Option<(usize, Vec<u8>)> = binary.map(|start| {
+            let mut longer = chunks.first().map_or(&[][..], |chunk| chunk.1).to_vec();
+            longer.resize(start, 0);
+            longer.extend(added);
+            (0, longer)
+        });
+        let mut all = vec![(JSON, json.as_bytes())];
         for (number, (kind, bytes)) in chunks.iter().enumerate() {
-            match binary.filter(|_| number == 0) {
-                Some(start) => {
-                    let mut longer = bytes.to_vec();
-                    longer.resize(start, 0);
-                    longer.extend(added);
-                    put(*kind, &longer, 0)?;
-                }
-                None => put(*kind, bytes, 0)?,
-            }
+            let of = longer.as_ref().filter(|(changed, _)| *changed == number);
+            all.push((*kind, of.map_or(*bytes, |(_, longer)| longer)));
         }
-        let size = u32::try_from(out.len()).map_err(|_| GltfError::TooLarge)?;
-        out[8..12].copy_from_slice(&size.to_le_bytes());
-        Ok(out)
+        glb::join(&all).map_err(|_| GltfError::TooLarge)
     }
 }
 
@@ -427,7 +394,12 @@ mod tests {
 
     #[test]
     fn what_cannot_be_changed_is_refused() {
-        let broken = |bytes: &[u8]| matches!(with(bytes, &[1]).unwrap_err(), GltfError::Broken(_));
+        let broken = |bytes: &[u8]| {
+            matches!(
+                with(bytes, &[1]).unwrap_err(),
+                GltfError::Broken(_) | GltfError::Container(_)
+            )
+        };
         let whole = glb("{\"asset\":{}}", &[(BINARY, &[1, 2, 3, 4])]);
         assert!((4..whole.len()).all(|end| broken(&whole[..end])));
         for text in [
