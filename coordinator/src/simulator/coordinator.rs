@@ -346,9 +346,9 @@ impl World {
                 for (id, tiles) in unbelieved(self.store(), workers, *condemned)? {
                     let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
                     if let Err(e) = self.store().invalidate_tiles(id, &tiles) {
-                        // The change may be on the disk although its write failed.
-                        self.acknowledged
-                            .retain(|(job, tile), _| *job != id || !tiles.contains(tile));
+                        // The change may be on the disk although its write failed. It opens all tiles
+                        // of a done job.
+                        self.acknowledged.retain(|(job, _), _| *job != id);
                         return Err(e);
                     }
                     let open = self.store().tiles(id)?;
