@@ -1,0 +1,97 @@
+#!/usr/bin/env python3
+"""Runs the integration tests of the workspace, several test programs at once.
+
+    scripts/run_tests.py [--jobs N] [--skip TEXT]...
+
+cargo runs one test program after the other, and most of them wait for processes that they started. This script
+builds them with cargo and runs N at a time (default: the number of processors). A program in ALONE runs while no
+other one does. The output of a program is printed if a test of it fails. --skip is handed to each program; it leaves
+out the tests whose names contain TEXT.
+"""
+
+import argparse
+import concurrent.futures
+import json
+import os
+import subprocess
+import sys
+import time
+
+# Programs that measure how long an answer takes.
+ALONE = {"hostile"}
+# The programs that take longest, so that none of them begins last.
+FIRST = ["cluster", "exact", "access", "direct", "replicas", "farm", "traces", "wire"]
+# The time in seconds after which a program hangs.
+LIMIT = 1200
+
+
+def programs():
+    """Builds the test programs; returns the name, the file and the folder of the package of each."""
+    command = ["cargo", "test", "--locked", "--workspace", "--test", "*", "--no-run"]
+    command += ["--message-format=json-render-diagnostics"]
+    built = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if built.returncode != 0:
+        sys.exit(built.returncode)
+    found = []
+    for line in built.stdout.splitlines():
+        message = json.loads(line)
+        target = message.get("target", {})
+        if message["reason"] == "compiler-artifact" and "test" in target["kind"] and message["executable"]:
+            folder = os.path.dirname(message["manifest_path"])
+            found.append((target["name"], message["executable"], folder))
+    return found
+
+
+def run(program, skip):
+    """Runs a test program; returns its name, the seconds that it took, its failure and its output."""
+    name, file, folder = program
+    arguments = [argument for text in skip for argument in ("--skip", text)]
+    started = time.monotonic()
+    environment = dict(os.environ, CARGO_MANIFEST_DIR=folder)
+    try:
+        ended = subprocess.run(
+            [file, *arguments], cwd=folder, env=environment, timeout=LIMIT, check=False,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )
+        failure = "" if ended.returncode == 0 else f"exit status {ended.returncode}"
+        output = ended.stdout
+    except subprocess.TimeoutExpired as expired:
+        failure, output = f"no end after {LIMIT} s", expired.stdout or b""
+    return name, time.monotonic() - started, failure, output.decode(errors="replace")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--skip", action="append", default=[])
+    arguments = parser.parse_args()
+    order = {name: place for place, name in enumerate(FIRST)}
+    found = sorted(programs(), key=lambda program: (order.get(program[0], len(FIRST)), program[0]))
+    if not found:
+        sys.exit("run_tests: cargo built no test programs")
+    together = [program for program in found if program[0] not in ALONE]
+    alone = [program for program in found if program[0] in ALONE]
+    took, failed = [], []
+
+    def note(ended):
+        name, seconds, failure, output = ended
+        took.append((seconds, name))
+        print(f"{seconds:7.1f} s  {name}{': FAILED, ' + failure if failure else ''}", flush=True)
+        if failure:
+            failed.append(name)
+            print(output, flush=True)
+
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        running = [pool.submit(run, program, arguments.skip) for program in together]
+        for one in concurrent.futures.as_completed(running):
+            note(one.result())
+    for program in alone:
+        note(run(program, arguments.skip))
+    slowest = ", ".join(f"{name} {seconds:.0f} s" for seconds, name in sorted(took, reverse=True)[:8])
+    print(f"{len(took)} test programs, {len(failed)} failed; the slowest: {slowest}")
+    if failed:
+        sys.exit(f"run_tests: failed: {', '.join(sorted(failed))}")
+
+
+if __name__ == "__main__":
+    main()
