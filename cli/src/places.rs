@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_model::{BackendChoice, Up};
-use sightline_places::reach::Tracing;
-use sightline_places::{
-    Parts, PlacesError, Viewpoints, both, boxes, mark_where, mesh, points, reach,
+use sightline_viewpoints::reach::Tracing;
+use sightline_viewpoints::{
+    Parts, ViewpointsError, Viewpoints, both, boxes, mark_where, mesh, points, reach,
 };
 use sightline_portals::{Reached, along_walls};
 use sightline_sampling::sight::{Sight, least_step};
@@ -314,9 +314,9 @@ impl PlaceArgs {
 }
 
 /// An error about the points of --reachable-from.
-fn of_seeds(e: PlacesError) -> CliError {
+fn of_seeds(e: ViewpointsError) -> CliError {
     match e {
-        PlacesError::Backend(e) => CliError::internal(e),
+        ViewpointsError::Backend(e) => CliError::internal(e),
         e => CliError::Input(format!("--reachable-from: {e}")),
     }
 }
@@ -350,6 +350,6 @@ pub fn read_viewpoints(path: &Path) -> Result<Vec<points::Weighted>, CliError> {
     points::read(BufReader::new(file)).map_err(|e| of_file(path, &e))
 }
 
-fn of_file(path: &Path, e: &PlacesError) -> CliError {
+fn of_file(path: &Path, e: &ViewpointsError) -> CliError {
     CliError::Input(format!("{}: {e}", path.display()))
 }

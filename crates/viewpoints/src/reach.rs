@@ -16,7 +16,7 @@ use sightline_scene::{Aabb, Scene};
 use sightline_viewcells::Viewpoints;
 
 use crate::mesh::winding;
-use crate::{Parts, PlacesError, walk};
+use crate::{Parts, ViewpointsError, walk};
 
 /// Tiles of 4×4 directions along a cube face, in the first and in the last round from a point.
 const FIRST_TILES: u32 = 1;
@@ -49,12 +49,12 @@ pub struct Tracing<'a> {
 /// alone. Points outside the box mark nothing; returns how many there are.
 ///
 /// # Errors
-/// [`PlacesError::None`] when all points are outside, [`PlacesError::Backend`].
+/// [`ViewpointsError::None`] when all points are outside, [`ViewpointsError::Backend`].
 pub fn mark_around(
     t: &Tracing<'_>,
     points: &[[f32; 3]],
     reach: f32,
-) -> Result<(Viewpoints, usize), PlacesError> {
+) -> Result<(Viewpoints, usize), ViewpointsError> {
     let mut marks = Viewpoints::none(t.cells);
     let inside: Vec<[f32; 3]> = points
         .iter()
@@ -62,7 +62,7 @@ pub fn mark_around(
         .filter(|p| t.parts.of_point(*p).is_some())
         .collect();
     if inside.is_empty() {
-        return Err(PlacesError::None(
+        return Err(ViewpointsError::None(
             "none of the viewpoints is in the view box; are they in the scene's units and axes?"
                 .to_owned(),
         ));
@@ -92,7 +92,7 @@ pub fn mark_reachable(
     t: &Tracing<'_>,
     seeds: &[[f32; 3]],
     progress: &mut dyn FnMut(u64),
-) -> Result<Viewpoints, PlacesError> {
+) -> Result<Viewpoints, ViewpointsError> {
     let mut marks = Viewpoints::none(t.cells);
     for part in check(t, seeds)? {
         marks.mark(part);
@@ -118,14 +118,14 @@ pub fn mark_reachable(
 /// The parts of points from which places are reached.
 ///
 /// # Errors
-/// [`PlacesError::Outside`] and [`PlacesError::Solid`] for a point, [`PlacesError::Backend`].
-pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, PlacesError> {
+/// [`ViewpointsError::Outside`] and [`ViewpointsError::Solid`] for a point, [`ViewpointsError::Backend`].
+pub fn check(t: &Tracing<'_>, seeds: &[[f32; 3]]) -> Result<Vec<[u32; 3]>, ViewpointsError> {
     let mut parts = Vec::new();
     for seed in seeds {
         let Some(part) = t.parts.of_point(*seed) else {
             let whole = t.parts.whole();
             let (min, max) = (whole.min.to_array(), whole.max.to_array());
-            return Err(PlacesError::Outside {
+            return Err(ViewpointsError::Outside {
                 point: *seed,
                 min,
                 max,
@@ -145,7 +145,7 @@ fn cast_from_all(
     reach: f64,
     marks: &mut Viewpoints,
     found: &mut dyn FnMut([u32; 3], [f32; 3]),
-) -> Result<(), PlacesError> {
+) -> Result<(), ViewpointsError> {
     for batch in points.chunks(BATCH) {
         let mut open: Vec<[f32; 3]> = batch.to_vec();
         let mut tiles = FIRST_TILES;
@@ -155,7 +155,7 @@ fn cast_from_all(
                 .par_iter()
                 .with_max_len(1)
                 .map(|point| cast(t, *point, tiles, reach, known))
-                .collect::<Result<_, PlacesError>>()?;
+                .collect::<Result<_, ViewpointsError>>()?;
             let rays = (6 * tiles * tiles) as usize * LANES;
             let mut keep = Vec::new();
             for (point, parts) in open.iter().zip(crossed) {
@@ -185,7 +185,7 @@ fn cast(
     tiles: u32,
     reach: f64,
     known: &Viewpoints,
-) -> Result<Vec<Crossing>, PlacesError> {
+) -> Result<Vec<Crossing>, ViewpointsError> {
     let mut out = Vec::new();
     each_ray(t, origin, tiles, &mut |packet, lane| {
         let (origin, direction) = packet.ray(lane);
@@ -205,7 +205,7 @@ fn each_ray(
     origin: [f32; 3],
     tiles: u32,
     f: &mut dyn FnMut(&Packet, usize),
-) -> Result<(), PlacesError> {
+) -> Result<(), ViewpointsError> {
     let name = origin.map(|x| u64::from(x.to_bits()));
     let mut random = Hashed::new(&[name[0], name[1], name[2], u64::from(tiles), REACH]);
     let pixel = 2.0 / (4 * tiles) as f32;
@@ -233,7 +233,7 @@ fn each_ray(
 /// Refuses a point inside something solid: most rays from it meet a back, as the file winds its
 /// triangles, and an object that does not enclose the whole scene winds around it. A closed room is no
 /// solid: it is wound to be seen from inside, or it encloses all there is.
-fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), PlacesError> {
+fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), ViewpointsError> {
     let (mut backs, mut others) = (0u32, 0u32);
     each_ray(t, point, FIRST_TILES, &mut |packet, lane| {
         let triangle = packet.triangle[lane];
@@ -253,7 +253,7 @@ fn check_free(t: &Tracing<'_>, point: [f32; 3]) -> Result<(), PlacesError> {
         let bounds = own.iter().fold(Aabb::EMPTY, |all, t| all.union(t.bounds()));
         let around = winding(own, glam::Vec3::from(point).as_dvec3());
         if around > 0.5 && bounds != t.scene.bounds() {
-            return Err(PlacesError::Solid {
+            return Err(ViewpointsError::Solid {
                 point,
                 object: object.name.clone(),
             });

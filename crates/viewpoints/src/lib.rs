@@ -23,7 +23,7 @@ use sightline_viewcells::{Lattice, UNITS_PER_CELL};
 
 /// Why it is not known where viewpoints can be.
 #[derive(Debug, thiserror::Error)]
-pub enum PlacesError {
+pub enum ViewpointsError {
     /// A file of viewpoints cannot be read.
     #[error("line {line} of the viewpoints cannot be read: {source}")]
     Read {

@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, Read as _};
 
-use crate::PlacesError;
+use crate::ViewpointsError;
 
 /// The longest line in bytes; no viewpoint needs more.
 const MOST_LINE: u64 = 4096;
@@ -22,18 +22,18 @@ pub struct Weighted {
 /// skipped, and so are viewpoints of weight 0.
 ///
 /// # Errors
-/// [`PlacesError::Read`] and [`PlacesError::Line`] with the line, and [`PlacesError::None`].
-pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, PlacesError> {
+/// [`ViewpointsError::Read`] and [`ViewpointsError::Line`] with the line, and [`ViewpointsError::None`].
+pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, ViewpointsError> {
     let (mut points, mut bytes) = (Vec::new(), Vec::new());
     for line in 1.. {
         bytes.clear();
         let read = (&mut from)
             .take(MOST_LINE + 1)
             .read_until(b'\n', &mut bytes);
-        if read.map_err(|source| PlacesError::Read { line, source })? == 0 {
+        if read.map_err(|source| ViewpointsError::Read { line, source })? == 0 {
             break;
         }
-        let bad = |reason: &str| PlacesError::Line {
+        let bad = |reason: &str| ViewpointsError::Line {
             line,
             reason: reason.to_owned(),
         };
@@ -74,7 +74,7 @@ pub fn read(mut from: impl BufRead) -> Result<Vec<Weighted>, PlacesError> {
         }
     }
     match points.is_empty() {
-        true => Err(PlacesError::None(
+        true => Err(ViewpointsError::None(
             "the file has no viewpoints with a weight above 0".to_owned(),
         )),
         false => Ok(points),

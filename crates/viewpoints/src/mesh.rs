@@ -11,17 +11,17 @@ use sightline_numbers::Aabb;
 use sightline_scene::{Scene, Triangle, overlap};
 use sightline_viewcells::Viewpoints;
 
-use crate::{Parts, PlacesError, each, within};
+use crate::{Parts, ViewpointsError, each, within};
 
 /// Marks the parts inside closed meshes, and those that their triangles touch.
 ///
 /// # Errors
-/// [`PlacesError::Open`] for a mesh that is not closed.
+/// [`ViewpointsError::Open`] for a mesh that is not closed.
 pub fn mark_closed(
     parts: &Parts,
     cells: [u32; 3],
     mesh: &Scene,
-) -> Result<Viewpoints, PlacesError> {
+) -> Result<Viewpoints, ViewpointsError> {
     check_closed(mesh)?;
     let mut marks = Viewpoints::none(cells);
     for triangle in mesh.triangles().iter().filter(|t| !t.is_degenerate()) {
@@ -158,7 +158,7 @@ impl Prism {
 
 /// Every edge joins two triangles in opposite directions, or several such pairs. Vertices are the same if
 /// their coordinates are.
-fn check_closed(mesh: &Scene) -> Result<(), PlacesError> {
+fn check_closed(mesh: &Scene) -> Result<(), ViewpointsError> {
     // For each edge, from the lesser corner, the triangles along it less those against it.
     let mut edges: BTreeMap<[[u32; 3]; 2], (i64, Vec3)> = BTreeMap::new();
     let key = |v: Vec3| v.to_array().map(|x| (x + 0.0).to_bits());
@@ -177,7 +177,7 @@ fn check_closed(mesh: &Scene) -> Result<(), PlacesError> {
     let mut open = edges.values().filter(|(sum, _)| *sum != 0);
     match open.next() {
         None => Ok(()),
-        Some((_, at)) => Err(PlacesError::Open {
+        Some((_, at)) => Err(ViewpointsError::Open {
             open: open.count() as u64 + 1,
             at: at.to_array(),
         }),
@@ -275,7 +275,7 @@ mod tests {
         triangles.pop();
         let refused = mark_closed(&parts, cells, &scene(triangles)).unwrap_err();
         assert!(
-            matches!(refused, PlacesError::Open { open: 3, .. }),
+            matches!(refused, ViewpointsError::Open { open: 3, .. }),
             "{refused}"
         );
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_exact, measure_pairs};
-use sightline_places::points::Weighted;
+use sightline_viewpoints::points::Weighted;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
