@@ -162,7 +162,7 @@ for area; do
       ;;
     store | access | results | scheduler)
       case $area in
-        results) files='coordinator/src/results.rs' ;;
+        results) files='coordinator/src/outputs/commit.rs' ;;
         *) files="coordinator/src/$area/**/*.rs" ;;
       esac
       mapfile -t mutants < <(drawn sightline-coordinator "$files")
@@ -174,7 +174,7 @@ for area; do
       case $area in
         store) tests='store::' ;;
         access) tests='access:: services::' ;;
-        results) tests='results:: services:: trust_tests:: reopening_tests:: staged_tests:: ambient_tests::' ;;
+        results) tests='outputs:: services:: tests::' ;;
         scheduler) tests='scheduler::' ;;
       esac
       matching < <(printf '%s\n' "${mutants[@]}")

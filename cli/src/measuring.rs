@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use serde_json::Value;
 use sightline_measure::{MeasureError, Options, Viewpoints, measure, measure_exact, measure_pairs};
-use sightline_viewpoints::points::Weighted;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_scene::Scene;
 use sightline_tetra::look::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
+use sightline_viewpoints::points::Weighted;
 
 use crate::args::MeasureArgs;
 use crate::backends::{open_backend, say_other};

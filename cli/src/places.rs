@@ -5,15 +5,15 @@ use std::path::Path;
 use std::sync::Arc;
 
 use sightline_model::{BackendChoice, Up};
-use sightline_viewpoints::reach::Tracing;
-use sightline_viewpoints::{
-    Parts, ViewpointsError, Viewpoints, both, boxes, mark_where, mesh, points, reach,
-};
 use sightline_portals::{Reached, along_walls};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
 use sightline_scene::{Aabb, Scene, overlap};
 use sightline_viewcells::{Division, Lattice, Layout, Plan, Region};
+use sightline_viewpoints::reach::Tracing;
+use sightline_viewpoints::{
+    Parts, Viewpoints, ViewpointsError, both, boxes, mark_where, mesh, points, reach,
+};
 
 use crate::backends::open_backend;
 use crate::enclosure::Walls;

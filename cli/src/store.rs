@@ -10,8 +10,8 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 use sightline_coordinator::Config;
-use sightline_coordinator::keeping::{self, KeepingError, Need, Verified};
-use sightline_coordinator::ownership::{self, Ownership};
+use sightline_coordinator::blobs::ownership::{self, Ownership};
+use sightline_coordinator::blobs::references::{self, KeepingError, Need, Verified};
 use sightline_coordinator::store::{
     BlobError, Damage, Entry, JournalError, Repaired, SledStore, Store, StoreError,
 };
@@ -183,9 +183,9 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, CliError> {
         false => config.inspect_blobs(copies.path()),
     }
     .map_err(blobs_fault)?;
-    let found = keeping::verify(store, &*blobs, &|_| ()).map_err(of_keeping)?;
+    let found = references::verify(store, &*blobs, &|_| ()).map_err(of_keeping)?;
     let opened = match args.repair && !found.lost.is_empty() {
-        true => Some(keeping::repair(store, &*blobs, &found).map_err(of_keeping)?),
+        true => Some(references::repair(store, &*blobs, &found).map_err(of_keeping)?),
         false => None,
     };
     let own = store.identity().map_err(of_store)?.id();

@@ -6,7 +6,7 @@
 //! itself.
 //!
 //! Modules depend on each other in one direction: [`services`](serve) translate between gRPC and the subjects
-//! (`submit`, `jobs`, `sessions`, `results`, `scenes`); the subjects decide; below them are the shared state,
+//! (`jobs`, `workers`, `outputs`, `results`, `uploads`); the subjects decide; below them are the shared state,
 //! the scheduler and the [`store`].
 //!
 //! ```
@@ -24,85 +24,39 @@
 //! ```
 
 pub mod access;
-mod asking;
 mod assemble;
-mod assemble_pairs;
-mod chores;
-mod chronicle;
+pub mod blobs;
 pub mod clock;
-mod crews;
-mod deleting;
-mod direct;
-mod estimate;
-mod finishing;
-mod found;
+mod dispatch;
 #[doc(hidden)]
 pub mod fuzzing;
-mod having;
-mod housekeeping;
 pub mod ids;
-mod invalidating;
 mod jobs;
-mod joining;
-pub mod keeping;
 mod kept;
-mod lease_tags;
 mod lifecycle;
-mod limits;
-#[cfg(test)]
-mod load;
-mod lost;
-mod metrics;
-mod openness;
-mod orders;
-pub mod ownership;
-mod partial;
-mod readiness;
-mod receivers;
-mod releasing;
+mod outputs;
+mod quota;
 mod results;
-mod retention_clock;
-mod retention_stamp;
-mod scene_files;
-mod scenes;
 mod scheduler;
-mod scheduling;
 mod services;
-mod sessions;
-mod spans;
-mod specs;
-mod spool;
-mod staging;
 mod state;
-mod statistics;
 pub mod store;
-mod submit;
-mod tiles;
-mod turning;
+mod telemetry;
 mod uploads;
-mod worker_identity;
+mod users;
+mod workers;
 
-#[cfg(test)]
-mod ambient_tests;
-#[cfg(test)]
-mod reopening_tests;
-#[cfg(test)]
-mod retention_tests;
 #[cfg(test)]
 mod simulator;
 #[cfg(test)]
-mod staged_tests;
-#[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod trust_tests;
 
 pub use kept::{Answers, Retention};
 pub use lifecycle::{Config, OpenError};
-pub use limits::{Quota, QuotaError, Quotas, bytes};
-pub use scenes::TakeError;
+pub use quota::{Quota, QuotaError, Quotas, bytes};
 pub use services::{
     ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError,
     ServeError, Tls, TlsError, TlsFiles, serve, serve_http, serve_probes,
 };
 pub use state::{Coordinator, Leases};
+pub use uploads::scenes::TakeError;

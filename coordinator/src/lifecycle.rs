@@ -3,25 +3,25 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::chores::happened;
-use crate::chronicle::{Chronicle, Happening, Kind};
+use crate::blobs::ownership;
+use crate::blobs::references::KeepingError;
 use crate::clock::{Clock, SystemClock};
-use crate::crews::Crews;
+use crate::dispatch::run::happened;
+use crate::dispatch::{Chore, tell};
 use crate::ids::{Epoch, JobId};
-use crate::keeping::KeepingError;
+use crate::jobs::retention_clock::{Ages, RetentionClock};
+use crate::jobs::retention_stamp;
+use crate::jobs::stored_spec;
 use crate::kept::Retention;
-use crate::limits::Quotas;
-use crate::ownership;
-use crate::retention_clock::{Ages, RetentionClock};
-use crate::retention_stamp;
+use crate::quota::Quotas;
 use crate::scheduler::{Event, Job, Machine, Settings};
-use crate::scheduling::{Chore, tell};
-use crate::specs;
 use crate::state::{Coordinator, Leases};
 use crate::store::{
     BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore,
     Store, StoreError,
 };
+use crate::telemetry::events::{Chronicle, Happening, Kind};
+use crate::workers::crews::Crews;
 
 /// The settings of a coordinator on one machine's disk.
 #[derive(Clone, Debug)]
@@ -198,13 +198,13 @@ impl Coordinator {
                 // Its tiles may be at work: workers finish them while it is paused, too.
                 let runs = record.profile.is_some();
                 // A job whose specification cannot be reached now is no job that has failed.
-                if let Ok((_, Some(parts))) = specs::part(&record.spec)
+                if let Ok((_, Some(parts))) = stored_spec::part(&record.spec)
                     && let Err(e) = blobs.open_checked(&parts)
                     && e.passes()
                 {
                     return Err(e.into());
                 }
-                let spec = specs::whole(&*blobs, &record.spec);
+                let spec = stored_spec::whole(&*blobs, &record.spec);
                 match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
                     Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),
                     Err(reason) => {

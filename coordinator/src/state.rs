@@ -1,6 +1,6 @@
 //! The coordinator's shared state: store, blobs, clock, scheduler, and who watches which job.
 //!
-//! Nothing here decides anything: the subjects (`scenes`, `submit`, `jobs`, `sessions`, `results`) do. Most
+//! Nothing here decides anything: the subjects (`uploads`, `jobs`, `workers`, `outputs`, `results`) do. Most
 //! calls block on the disk; the services make them off the async threads.
 
 use std::collections::BTreeMap;
@@ -17,22 +17,22 @@ use sightline_traces::Traces;
 use tokio::sync::Semaphore;
 
 use crate::access::Access;
-use crate::chronicle::{Chronicle, Happening};
 use crate::clock::{Clock, Moment};
-use crate::crews::Crews;
+use crate::dispatch::outbox::{Scheduling, Watched};
 use crate::ids::{Digest, JobId};
+use crate::jobs::retention_clock::{Ages, FutureBlobs, RetentionClock};
 use crate::kept::{Answers, Asked, Last, LastTrial, Retention};
-use crate::lease_tags::LeaseTags;
-use crate::limits::{Budget, Intake, Pace, Quotas, Turns, Usage};
-use crate::metrics::Metrics;
-use crate::orders::{Scheduling, Watched};
-use crate::retention_clock::{Ages, FutureBlobs, RetentionClock};
+use crate::outputs::staging::Staging;
+use crate::quota::{Budget, Intake, Pace, Quotas, Turns, Usage};
 use crate::scheduler::{Machine, Now};
-use crate::spans::Spans;
-use crate::staging::Staging;
 use crate::store::{Blobs, Store, StoreIdentity};
-use crate::uploads::Uploads;
-use crate::worker_identity::IdentityProofs;
+use crate::telemetry::events::{Chronicle, Happening};
+use crate::telemetry::metrics::Metrics;
+use crate::telemetry::spans::Spans;
+use crate::uploads::chunks::Uploads;
+use crate::workers::crews::Crews;
+use crate::workers::identity::IdentityProofs;
+use crate::workers::lease_tags::LeaseTags;
 
 /// Simultaneous downloads; more wait. Half of tokio's threads for blocking work, so that clients that do not
 /// read delay only each other.

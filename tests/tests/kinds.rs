@@ -345,7 +345,10 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
                 "query hidden.pvs --cell 0 --why {} --scene used.glb",
                 ids.start
             ));
-            assert!(why.contains("switched off by the scene's file (KHR_node_visibility)"), "{why}");
+            assert!(
+                why.contains("switched off by the scene's file (KHR_node_visibility)"),
+                "{why}"
+            );
             // Ids and the list of objects stay.
             assert_eq!(sandbox.json("info hidden.pvs")["objects"], info["objects"]);
             sandbox.ok("export hidden.pvs --format gltf --scene used.glb -o seen.glb");

@@ -24,18 +24,18 @@ use tonic::{Code, Request, Status};
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
-use crate::chores::{do_chores, happened};
+use crate::dispatch::run::{do_chores, happened};
 use crate::ids::JobId;
-use crate::jobs;
+use crate::jobs::control;
 use crate::kept::Answers;
-use crate::lease_tags::Use;
 use crate::lifecycle::Config;
-use crate::limits::Quotas;
+use crate::quota::Quotas;
 use crate::scheduler::{Event, Order};
-use crate::sessions::{self, Message};
 use crate::state::Coordinator;
 use crate::store::QuarantineRecord;
-use crate::tests::{join, output, put, triangle, two_tiles};
+use crate::tests::life::{join, output, put, triangle, two_tiles};
+use crate::workers::lease_tags::Use;
+use crate::workers::sessions::{self, Message};
 
 /// How long an answer may take before a test fails.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -333,8 +333,8 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
     assert_eq!(again, ada);
     assert_eq!(troubles(&served), [None]);
     // A person releases by the name as well as by the signature.
-    assert!(!crate::releasing::release(&served.c, "bob").unwrap());
-    assert!(crate::releasing::release(&served.c, "ada").unwrap());
+    assert!(!crate::workers::quarantine::release(&served.c, "bob").unwrap());
+    assert!(crate::workers::quarantine::release(&served.c, "ada").unwrap());
     assert!(served.c.store.quarantined().unwrap().is_empty());
 }
 
@@ -519,7 +519,7 @@ fn done(c: &Arc<Coordinator>) -> JobId {
     let scene = c.take_scene(&triangle()).unwrap();
     let id = two_tiles(c, scene);
     let (worker, mut orders) = join(c, "ada");
-    while jobs::result(c, id).is_err() {
+    while control::result(c, id).is_err() {
         while let Ok(order) = orders.try_recv() {
             let Order::Grant(grant) = order else { continue };
             put(c, &grant, &output(&grant, &[0])).unwrap();

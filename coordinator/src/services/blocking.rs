@@ -7,9 +7,9 @@ use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
-use crate::chores::do_chores;
-use crate::limits::{Turn, Turns};
-use crate::scheduling::Chore;
+use crate::dispatch::Chore;
+use crate::dispatch::run::do_chores;
+use crate::quota::{Turn, Turns};
 use crate::state::Coordinator;
 
 /// Runs `f`, which may block on the disk, on one of tokio's threads for blocking work.

@@ -13,14 +13,14 @@ use tonic::{Status, Streaming};
 
 use super::blocking::{blocking, later};
 use super::status;
-use crate::chronicle::{Happening, Kind};
-use crate::crews::{Room, Take, Told};
 use crate::ids::Lease;
-use crate::limits::Sender;
-use crate::sessions;
-use crate::spool::Spool;
+use crate::quota::Sender;
 use crate::state::Coordinator;
 use crate::store::{MAX_OUTCOME_BYTES, TileState};
+use crate::telemetry::events::{Happening, Kind};
+use crate::uploads::spool::Spool;
+use crate::workers::crews::{Room, Take, Told};
+use crate::workers::sessions;
 
 /// Most items in a message: more than a phase has.
 const MAX_ITEMS: usize = 1 << 20;

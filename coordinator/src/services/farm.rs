@@ -13,13 +13,13 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
-use crate::chores::do_chores;
+use crate::dispatch::run::do_chores;
 use crate::ids::{JobId, TileIndex};
-use crate::invalidating::{self, Which};
-use crate::releasing;
+use crate::jobs::invalidate::{self, Which};
+use crate::jobs::tiles;
 use crate::state::Coordinator;
 use crate::store::StoreError;
-use crate::tiles;
+use crate::workers::quarantine;
 
 /// Most tiles of an answer.
 const MOST_TILES: u32 = 10_000;
@@ -125,7 +125,7 @@ impl v1::farm_server::Farm for FarmService {
             let mut chores = Vec::new();
             let opened = {
                 let _turn = c.turn();
-                invalidating::invalidate(c, &which, &mut chores)
+                invalidate::invalidate(c, &which, &mut chores)
             };
             do_chores(c, chores);
             let opened = opened.map_err(|e| status::of_store(&e))?;
@@ -146,7 +146,7 @@ impl v1::farm_server::Farm for FarmService {
         let worker = r.into_inner().worker;
         blocking(&self.0, move |c| {
             let was_quarantined =
-                releasing::release(c, &worker).map_err(|e| status::of_store(&e))?;
+                quarantine::release(c, &worker).map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ReleaseWorkerResponse { was_quarantined }))
         })
         .await

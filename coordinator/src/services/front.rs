@@ -22,9 +22,9 @@ use super::server::{self, Guarding, Services};
 use super::tls::Tls;
 use crate::access::{Need, Scope, needed};
 use crate::lifecycle::OpenError;
-use crate::metrics::standing_by;
 use crate::state::Coordinator;
 use crate::store::{PostgresStore, Replica, Role, StoreError};
+use crate::telemetry::metrics::standing_by;
 
 /// How long a call waits for somebody to lead. A take-over takes less.
 const PATIENCE: Duration = Duration::from_secs(8);

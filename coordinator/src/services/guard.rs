@@ -18,7 +18,7 @@ use super::metered::{LastRoom, Metered, bounded};
 use super::status;
 use crate::access::{Access, Caller, Need, Refusal, Scope, Scopes, needed};
 use crate::ids::JobId;
-use crate::limits::Permit;
+use crate::quota::Permit;
 use crate::state::Coordinator;
 use crate::store::StoreError;
 

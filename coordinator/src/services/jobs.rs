@@ -19,20 +19,20 @@ use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
 use crate::access::Caller;
-use crate::deleting;
-use crate::estimate;
-use crate::found;
 use crate::ids::{Digest, JobId};
-use crate::jobs::{self, JobError, Summary, Wanted};
-use crate::partial;
-use crate::receivers;
-use crate::results::MAX_LIGHT;
-use crate::scene_files;
-use crate::scenes;
-use crate::spool::Spool;
+use crate::jobs::control::{self, JobError, Summary, Wanted};
+use crate::jobs::delete;
+use crate::jobs::estimate;
+use crate::jobs::resume;
+use crate::jobs::submit::{self, Submission};
+use crate::outputs::commit::MAX_LIGHT;
+use crate::results::partial;
 use crate::state::{Coordinator, Lacks};
 use crate::store::StoreError;
-use crate::submit::{self, Submission};
+use crate::uploads::receivers;
+use crate::uploads::scene_files;
+use crate::uploads::scenes;
+use crate::uploads::spool::Spool;
 
 /// Chunks of one scene: 64 GiB.
 const MAX_CHUNKS: usize = 65_536;
@@ -123,7 +123,7 @@ impl v1::jobs_server::Jobs for JobsService {
             let _large = large;
             let record = scenes::put_scene(c, caller.owner(), whole, &parts)
                 .map_err(|e| status::of_upload(&e))?;
-            found::back(c, Lacks::Scene(whole));
+            resume::back(c, Lacks::Scene(whole));
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -151,7 +151,7 @@ impl v1::jobs_server::Jobs for JobsService {
             let _large = large;
             let stored = receivers::put(c, caller.owner(), whole, &parts);
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
-            found::back(c, Lacks::Receivers(whole));
+            resume::back(c, Lacks::Receivers(whole));
             let (points, lights) = (facts.points, facts.lights);
             Ok(Response::new(v1::ReceiversInfo {
                 digest: whole.to_vec(),
@@ -208,7 +208,7 @@ impl v1::jobs_server::Jobs for JobsService {
                 ..submission(c, &caller, r)?
             };
             let submitted = submit::submit(c, &submission).map_err(|e| status::of_submit(&e))?;
-            let job = jobs::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
+            let job = control::summary(c, submitted.id).map_err(|e| status::of_store(&e))?;
             let answer = v1::SubmitResponse {
                 job: Some(wire::job(&job)),
                 existing: submitted.existing,
@@ -264,8 +264,8 @@ impl v1::jobs_server::Jobs for JobsService {
         let most = if limit == 0 { MAX_PAGE } else { limit } as usize;
         let before = JobId(if before == 0 { u64::MAX } else { before });
         blocking(&self.0, move |c| {
-            let (list, older) =
-                jobs::list(c, &caller, before, most, &wanted).map_err(|e| status::of_store(&e))?;
+            let (list, older) = control::list(c, &caller, before, most, &wanted)
+                .map_err(|e| status::of_store(&e))?;
             Ok(Response::new(v1::ListResponse {
                 jobs: list.iter().map(wire::job).collect(),
                 older,
@@ -277,11 +277,11 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn show(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let summary = summary(&self.0, id).await?;
-        let unable = jobs::unable(&self.0, id)
+        let unable = control::unable(&self.0, id)
             .into_iter()
             .map(wire::unable)
             .collect();
-        let teams = jobs::teams(&self.0, id)
+        let teams = control::teams(&self.0, id)
             .into_iter()
             .map(wire::team)
             .collect();
@@ -307,39 +307,39 @@ impl v1::jobs_server::Jobs for JobsService {
     }
 
     async fn cancel(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        self.turn(r, jobs::cancel).await
+        self.turn(r, control::cancel).await
     }
 
     async fn pause(&self, r: Request<v1::PauseRequest>) -> Answer<v1::Job> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let now = r.get_ref().now;
         blocking(&self.0, move |c| {
-            let job = jobs::pause(c, id, now).map_err(|e| status::of_job(&e))?;
+            let job = control::pause(c, id, now).map_err(|e| status::of_job(&e))?;
             Ok(Response::new(wire::job(&job)))
         })
         .await
     }
 
     async fn resume(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        self.turn(r, jobs::resume).await
+        self.turn(r, control::resume).await
     }
 
     async fn prioritize(&self, r: Request<v1::PrioritizeRequest>) -> Answer<v1::Job> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let priority = checked_priority(r.get_ref().priority)?;
         blocking(&self.0, move |c| {
-            let job = jobs::prioritize(c, id, priority).map_err(|e| status::of_job(&e))?;
+            let job = control::prioritize(c, id, priority).map_err(|e| status::of_job(&e))?;
             Ok(Response::new(wire::job(&job)))
         })
         .await
     }
 
     async fn retry(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        self.turn(r, jobs::retry).await
+        self.turn(r, control::retry).await
     }
 
     async fn delete(&self, r: Request<v1::ShowRequest>) -> Answer<v1::Job> {
-        self.turn(r, deleting::delete).await
+        self.turn(r, delete::delete).await
     }
 
     type FetchPartialStream = ChunkStream;
@@ -356,7 +356,7 @@ impl v1::jobs_server::Jobs for JobsService {
     async fn fetch(&self, r: Request<v1::ShowRequest>) -> Answer<Self::FetchStream> {
         let id = own_job(&self.0, &r, r.get_ref().job).await?;
         let result = blocking(&self.0, move |c| {
-            jobs::result(c, id).map_err(|e| status::of_job(&e))
+            control::result(c, id).map_err(|e| status::of_job(&e))
         })
         .await?;
         stream_blob(&self.0, result).await.map(Response::new)
@@ -451,7 +451,7 @@ pub(super) async fn take_file(
         let _large = large;
         let taken = scene_files::take(c, caller.owner(), &name, spool, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
-        found::back(c, Lacks::Scene(record.digest));
+        resume::back(c, Lacks::Scene(record.digest));
         Ok(v1::SceneFileInfo {
             scene: Some(wire::scene(&record)),
             warnings,
@@ -467,7 +467,7 @@ pub(super) async fn so_far(
     id: JobId,
 ) -> Result<ChunkStream, Status> {
     match blocking(c, move |c| {
-        jobs::result(c, id).map(Some).or_else(|e| none_yet(&e))
+        control::result(c, id).map(Some).or_else(|e| none_yet(&e))
     })
     .await?
     {
@@ -492,7 +492,7 @@ fn none_yet(e: &JobError) -> Result<Option<Digest>, Status> {
 
 async fn summary(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, Status> {
     blocking(c, move |c| {
-        jobs::summary(c, id).map_err(|e| status::of_store(&e))
+        control::summary(c, id).map_err(|e| status::of_store(&e))
     })
     .await
 }

@@ -12,7 +12,7 @@ use tonic::Status;
 use tonic::body::Body;
 
 use crate::access::{Caller, Scope};
-use crate::limits::{Intake, Room};
+use crate::quota::{Intake, Room};
 
 /// Maximum size of a message or a body, in bytes.
 pub(super) const MAX_MESSAGE: u64 = 4 << 20;

@@ -12,9 +12,9 @@ use axum::response::{IntoResponse as _, Response};
 use axum::routing::get;
 
 use super::connections::{Listener, Protocol};
-use crate::metrics::Moment;
-use crate::readiness::readiness;
 use crate::state::Coordinator;
+use crate::telemetry::metrics::Moment;
+use crate::telemetry::readiness::readiness;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 

@@ -8,7 +8,7 @@ use tonic::{Request, Response, Status};
 use super::blocking::in_turn;
 use super::guard::{caller, own_job};
 use super::status;
-use crate::asking::{self, AskError};
+use crate::results::queries::{self, AskError};
 use crate::state::Coordinator;
 
 /// Serves [`v1::results_server::Results`].
@@ -26,7 +26,7 @@ impl v1::results_server::Results for ResultsService {
         let user = caller(&self.0, &r)?;
         let asked = r.into_inner();
         let answer = move |c: &Arc<Coordinator>, _: &dyn Fn() -> bool| {
-            asking::query(c, &asked)
+            queries::query(c, &asked)
                 .map(Response::new)
                 .map_err(|e| status::of_ask(&e))
         };
@@ -35,12 +35,12 @@ impl v1::results_server::Results for ResultsService {
 
     async fn why(&self, r: Request<v1::WhyRequest>) -> Answer<v1::WhyResponse> {
         own_job(&self.0, &r, r.get_ref().job).await?;
-        self.ask(r, asking::why).await
+        self.ask(r, queries::why).await
     }
 
     async fn measure(&self, r: Request<v1::MeasureRequest>) -> Answer<v1::MeasureResponse> {
         own_job(&self.0, &r, r.get_ref().job).await?;
-        self.ask(r, asking::measure).await
+        self.ask(r, queries::measure).await
     }
 }
 

@@ -28,11 +28,11 @@ use super::jobs::JobsService;
 use super::results::ResultsService;
 use super::tls::Tls;
 use super::workers::WorkersService;
-use crate::housekeeping::tidy_up;
+use crate::jobs::retention::tidy_up;
+use crate::jobs::retention_stamp;
 use crate::lifecycle;
-use crate::readiness::readiness;
-use crate::retention_stamp;
 use crate::state::Coordinator;
+use crate::telemetry::readiness::readiness;
 
 /// How often timers are looked at.
 const TICK: Duration = Duration::from_millis(200);

@@ -8,8 +8,8 @@ use tonic::{Status, Streaming};
 
 use super::blocking::blocking;
 use super::status;
-use crate::spool::Spool;
 use crate::state::Coordinator;
+use crate::uploads::spool::Spool;
 
 /// Fills a spool with the first chunk, if it has come already, and the chunks of a stream up to its end.
 ///

@@ -6,20 +6,20 @@ use sightline_proto::chunks::ChunkError;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
-use crate::asking::AskError;
-use crate::having::HavingError;
-use crate::jobs::JobError;
-use crate::joining::UploadError;
-use crate::lease_tags::Forged;
-use crate::partial::PartialError;
-use crate::receivers::Fault;
-use crate::results::ResultError;
-use crate::scene_files::FileError;
-use crate::scenes::{FactsError, TakeError};
+use crate::jobs::control::JobError;
+use crate::jobs::submit::SubmitError;
+use crate::outputs::commit::ResultError;
+use crate::results::partial::PartialError;
+use crate::results::queries::AskError;
 use crate::scheduler::NameTaken;
-use crate::spool::SpoolError;
 use crate::store::{BlobError, JournalError, StoreError};
-use crate::submit::SubmitError;
+use crate::uploads::complete::UploadError;
+use crate::uploads::receivers::Fault;
+use crate::uploads::scene_files::FileError;
+use crate::uploads::scenes::{FactsError, TakeError};
+use crate::uploads::spool::SpoolError;
+use crate::users::quota_check::HavingError;
+use crate::workers::lease_tags::Forged;
 
 /// When to try again after a full disk refused data.
 const AGAIN: Duration = Duration::from_secs(10);

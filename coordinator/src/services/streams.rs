@@ -13,8 +13,8 @@ use tonic::Status;
 
 use super::blocking::blocking;
 use super::{status, wire};
-use crate::direct;
 use crate::ids::Digest;
+use crate::outputs::presigned;
 use crate::state::Coordinator;
 use crate::store::BlobReader;
 
@@ -75,7 +75,7 @@ pub(super) async fn stream_or_address(
 ) -> Result<ChunkStream, Status> {
     let found = blocking(c, move |c| {
         let bytes = length(c, &d)?;
-        match direct::reading(c, &d, bytes) {
+        match presigned::reading(c, &d, bytes) {
             Some(address) => Ok(Ok((bytes, address))),
             None => open(c, &d).map(Err),
         }

@@ -4,16 +4,16 @@ use sightline_proto::v1;
 use sightline_traces::TraceId;
 use tonic::Status;
 
-use crate::chronicle::{Entry, Kind};
-use crate::estimate::Estimate;
 use crate::ids::{Digest, worker_name};
-use crate::jobs::Summary;
-use crate::lease_tags::{LeaseTags, Use};
+use crate::jobs::control::Summary;
+use crate::jobs::estimate::Estimate;
+use crate::jobs::stored_spec;
+use crate::jobs::tiles::TileView;
 use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
-use crate::specs;
 use crate::state::Lacks;
 use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
-use crate::tiles::TileView;
+use crate::telemetry::events::{Entry, Kind};
+use crate::workers::lease_tags::{LeaseTags, Use};
 
 /// A digest from the wire.
 ///
@@ -190,7 +190,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         name: record.name.clone(),
         // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
         // large, and a list has many jobs.
-        spec: specs::part(&record.spec)
+        spec: stored_spec::part(&record.spec)
             .ok()
             .map(|(spec, _)| without_large_parts(spec)),
         profile: record.profile.clone().unwrap_or_default(),

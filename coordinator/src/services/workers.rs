@@ -17,18 +17,18 @@ use super::guard::caller;
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
-use crate::chores::do_chores;
+use crate::dispatch::outbox::Outbox;
+use crate::dispatch::run::do_chores;
 use crate::ids::{Digest, JobId, Lease, WorkerId, WorkerIdentity, signature};
-use crate::lease_tags::{LeaseTags, Use};
-use crate::limits::Turn;
-use crate::lost;
-use crate::orders::Outbox;
-use crate::results::{self, Announced, MAX_LIGHT, Origin, ResultError, Weight};
+use crate::jobs::suspend;
+use crate::outputs::commit::{self, Announced, MAX_LIGHT, Origin, ResultError, Weight};
+use crate::quota::Turn;
 use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
-use crate::sessions::{self, Message};
-use crate::spans::Spans;
 use crate::state::{Coordinator, Lacks};
 use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, Staged};
+use crate::telemetry::spans::Spans;
+use crate::workers::lease_tags::{LeaseTags, Use};
+use crate::workers::sessions::{self, Message};
 
 /// Messages to a worker that wait until it reads them; further ones are lost.
 const WAITING: usize = 64;
@@ -159,7 +159,7 @@ impl v1::workers_server::Workers for WorkersService {
             .lease_tags
             .check(&lease, to)
             .map_err(|e| status::of_forged(&e))?;
-        let (out, outbound) = mpsc::channel(crate::crews::WAITING);
+        let (out, outbound) = mpsc::channel(crate::workers::crews::WAITING);
         let c = Arc::clone(&self.0);
         if leads {
             let (answer, opened) = oneshot::channel();
@@ -215,7 +215,7 @@ impl v1::workers_server::Workers for WorkersService {
         }
         let announced = announced(&self.0, &header)?;
         let begin = move |c: &Arc<Coordinator>| {
-            results::begin(c, &announced).map_err(|e| status::of_result(&e))
+            commit::begin(c, &announced).map_err(|e| status::of_result(&e))
         };
         let spool = blocking(&self.0, begin).await?;
         let spool = filled(&self.0, spool, None, &mut parts, |part| match part.part {
@@ -236,7 +236,7 @@ impl v1::workers_server::Workers for WorkersService {
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .bytes(c)?;
-            results::put(c, &announced, &Origin::Sent(&bytes), weight)
+            commit::put(c, &announced, &Origin::Sent(&bytes), weight)
         })
         .await
     }
@@ -252,7 +252,7 @@ impl v1::workers_server::Workers for WorkersService {
         } = r.into_inner();
         let staged = staged(&self.0, lease.as_ref(), &sha256, bytes)?;
         blocking(&self.0, move |c| {
-            let address = results::address(c, &staged).map_err(|e| status::of_blob(&e))?;
+            let address = commit::address(c, &staged).map_err(|e| status::of_blob(&e))?;
             Ok(Response::new(v1::StageResultResponse {
                 address: address.map(wire::address),
             }))
@@ -291,7 +291,8 @@ impl WorkersService {
         {
             let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
             blocking(&self.0, move |c| {
-                let (_, chores) = lost::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
+                let (_, chores) =
+                    suspend::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
                 do_chores(c, chores);
                 Ok(())
             })
@@ -315,7 +316,7 @@ impl WorkersService {
         let announced = announced(&self.0, &header)?;
         let large = large(&self.0, "", staged.bytes > MAX_LIGHT).await?;
         self.commit(large, announced, move |c, weight| {
-            results::put(c, &announced, &Origin::Staged(&staged), weight)
+            commit::put(c, &announced, &Origin::Staged(&staged), weight)
         })
         .await
     }

@@ -3,7 +3,7 @@
 use super::parts::{Answer, Down, Happening, Refusal, Up, digest, output};
 use super::world::{TTL, World};
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
-use crate::invalidating::unbelieved;
+use crate::jobs::invalidate::unbelieved;
 use crate::scheduler::{Command, Effect, Event, Failure, Machine, Now, Settings};
 use crate::store::{
     CommitOutcome, JobPhase, JobState, MAX_HELPERS, QuarantineRecord, StoreError, TileCheck,

@@ -20,9 +20,9 @@ use super::super::{status, wire};
 use super::site::{Site, failure, json};
 use crate::access::Caller;
 use crate::ids::JobId;
+use crate::jobs::tiles;
 use crate::scheduler::Standing;
 use crate::state::Coordinator;
-use crate::tiles;
 
 /// Shortest time between two messages about a job.
 const EVERY: Duration = Duration::from_secs(1);

@@ -20,12 +20,12 @@ use super::super::jobs::{begin_file, file_name, so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
 use crate::access::Caller;
-use crate::asking;
 use crate::ids::JobId;
-use crate::partial;
-use crate::spool::Spool;
+use crate::results::partial;
+use crate::results::queries;
 use crate::state::Coordinator;
 use crate::store::JobPhase;
+use crate::uploads::spool::Spool;
 
 /// The random word that allows a page's own style and program.
 #[derive(Clone, Debug)]
@@ -195,8 +195,8 @@ fn page_of(
     is_gone: &dyn Fn() -> bool,
 ) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
-    let (record, scene) = asking::scene(c, id).map_err(|e| status::of_ask(&e))?;
-    asking::has_sets(&record).map_err(|e| status::of_ask(&e))?;
+    let (record, scene) = queries::scene(c, id).map_err(|e| status::of_ask(&e))?;
+    queries::has_sets(&record).map_err(|e| status::of_ask(&e))?;
     let bytes = partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))?;
     let pvs = Pvs::from_bytes(bytes).map_err(|e| broken(&e))?;
     let mut view = View::of(&pvs, Some(&scene)).map_err(|e| broken(&e))?;

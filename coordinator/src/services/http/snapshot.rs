@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use super::super::blocking::blocking;
 use super::super::{status, wire};
 use crate::ids::JobId;
-use crate::jobs;
+use crate::jobs::control;
 use crate::state::Coordinator;
 
 /// Shortest time between two states of the list of jobs, and of the workers.
@@ -127,7 +127,7 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
         let mut is_over = record.state.phase().ended();
         let text = match known.remove(&id).filter(|(at, _)| is_over && *at == end) {
             Some((_, text)) => text,
-            None => match jobs::summary(c, record.id) {
+            None => match control::summary(c, record.id) {
                 Ok(summary) => {
                     // The scheduler may not have heard of the end yet.
                     is_over = summary.ended();

@@ -1,0 +1,148 @@
+//! The ownership of blobs: a coordinator removes blobs only where they belong to its own store.
+//!
+//! Blobs without a record that names them look unreferenced. With the records of another store,
+//! or with a new store in place of a lost one, every blob looks unreferenced. So a blob store carries the
+//! name of the store that it belongs to ([`StoreIdentity`](crate::store::StoreIdentity)), and the removal
+//! checks it first.
+
+use std::sync::Arc;
+
+use crate::blobs::references::KeepingError;
+use crate::state::Coordinator;
+use crate::store::{Blobs, Store, StoreId};
+use crate::telemetry::events::{Happening, Kind};
+
+/// The relation of a blob store to a store.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ownership {
+    /// The blobs belong to the store.
+    Own,
+    /// The blobs belong to another store.
+    Foreign(StoreId),
+    /// Blobs exist, and they name no store: the records may be new or wrong.
+    Unnamed,
+}
+
+impl Ownership {
+    /// Describes why blobs are not removed, with the remedy; `None` if they may be removed.
+    pub fn refusal(self) -> Option<String> {
+        let reason = match self {
+            Self::Own => return None,
+            Self::Foreign(owner) => format!("the blobs belong to another store, {owner}"),
+            Self::Unnamed => {
+                "blobs exist and name no store, so the records may be those of another store, new, or of an \
+                 earlier version"
+                    .to_owned()
+            }
+        };
+        Some(format!(
+            "{reason}: unreferenced blobs are not removed; check --data-dir, --store and --blobs, or run \
+             `sightline store verify --claim-blobs` with them if the blobs belong to this store"
+        ))
+    }
+}
+
+/// Returns the relation of the blobs to the store. An empty blob store receives the store's name.
+///
+/// # Errors
+/// When the store or the blobs cannot be read, or the name cannot be written.
+pub fn check(store: &dyn Store, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
+    let own = store.identity()?.id();
+    let relation = inspect(own, blobs)?;
+    if relation == Ownership::Unnamed && is_empty(blobs)? {
+        blobs.claim(own)?;
+        return Ok(Ownership::Own);
+    }
+    Ok(relation)
+}
+
+/// Returns the relation of the blobs to the store of this name, without changing anything.
+///
+/// # Errors
+/// When the blobs cannot be read.
+pub fn inspect(own: StoreId, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
+    Ok(match blobs.owner()? {
+        Some(owner) if owner == own => Ownership::Own,
+        Some(owner) => Ownership::Foreign(owner),
+        None => Ownership::Unnamed,
+    })
+}
+
+fn is_empty(blobs: &dyn Blobs) -> Result<bool, KeepingError> {
+    let mut is_empty = true;
+    blobs.visit(&mut |_| {
+        is_empty = false;
+        false
+    })?;
+    Ok(is_empty)
+}
+
+/// Returns true if the coordinator may remove unreferenced blobs; otherwise logs the reason and records an
+/// event.
+pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
+    match check(&*c.store, &*c.blobs).map(Ownership::refusal) {
+        Ok(None) => true,
+        Ok(Some(refusal)) => {
+            tracing::warn!("{refusal}");
+            c.happened(Happening::of(Kind::Coordinator, refusal));
+            false
+        }
+        Err(e) => {
+            tracing::warn!("the owner of the blobs is not known, so that none is removed: {e}");
+            false
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::{FileBlobs, MemoryBlobs, MemoryStore};
+
+    #[test]
+    fn blobs_belong_to_first_store_until_claimed() {
+        let folder = tempfile::tempdir().unwrap();
+        let stores: [Box<dyn Blobs>; 2] = [
+            Box::new(MemoryBlobs::new()),
+            Box::new(FileBlobs::open(folder.path()).unwrap()),
+        ];
+        for blobs in stores {
+            let (first, second) = (MemoryStore::new(), MemoryStore::new());
+            assert_eq!(check(&first, &*blobs).unwrap(), Ownership::Own);
+            blobs.put(b"walls").unwrap();
+            assert_eq!(check(&first, &*blobs).unwrap(), Ownership::Own);
+            let owner = first.identity().unwrap().id();
+            assert_eq!(check(&second, &*blobs).unwrap(), Ownership::Foreign(owner));
+            blobs.claim(second.identity().unwrap().id()).unwrap();
+            assert_eq!(check(&second, &*blobs).unwrap(), Ownership::Own);
+        }
+    }
+
+    #[test]
+    fn new_store_does_not_own_existing_blobs() {
+        let blobs = MemoryBlobs::new();
+        blobs.put(b"walls").unwrap();
+        assert_eq!(
+            check(&MemoryStore::new(), &blobs).unwrap(),
+            Ownership::Unnamed
+        );
+        assert!(
+            Ownership::Unnamed
+                .refusal()
+                .unwrap()
+                .contains("--claim-blobs")
+        );
+    }
+
+    #[test]
+    fn unreadable_owner_is_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let blobs = FileBlobs::open(folder.path()).unwrap();
+        std::fs::write(folder.path().join("store-identity"), "walls").unwrap();
+        let error = check(&MemoryStore::new(), &blobs).unwrap_err().to_string();
+        assert!(
+            error.contains("store-identity") && error.contains("--claim-blobs"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,260 @@
+//! Between the state machine and the world: gives it events and the time under a short lock, sends orders and
+//! wakes watchers. What blocks is left to the caller as chores.
+
+pub(crate) mod outbox;
+pub(crate) mod run;
+
+use std::collections::VecDeque;
+
+use crate::dispatch::outbox::{Outbox, Scheduling};
+use crate::ids::{JobId, Lease, WorkerId};
+use crate::scheduler::{
+    Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order,
+};
+use crate::state::Coordinator;
+use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::spans;
+
+/// Work that blocks and must be done after an event.
+#[derive(Debug)]
+pub(crate) enum Chore {
+    /// A change of the store.
+    Run(Command),
+    /// The result of a complete job.
+    Assemble(JobId),
+}
+
+/// Lets a worker join. The caller does the chores.
+pub(crate) fn join(
+    c: &Coordinator,
+    intro: Introduction,
+    out: Box<dyn Outbox>,
+) -> (Result<Joined, NameTaken>, Vec<Chore>) {
+    let name = intro.name.clone();
+    let mut out = Some(out);
+    let (mut answer, mut chores) = (Err(NameTaken { name }), Vec::new());
+    let scheduling = &mut *c.lock();
+    let effects = scheduling.machine.step(Event::Joined(intro), c.now_plain());
+    carry_all(
+        c,
+        scheduling,
+        effects,
+        &mut chores,
+        &mut |scheduling, effect| {
+            if let Effect::Joined(joined) = effect {
+                if let (Ok(joined), Some(out)) = (&joined, out.take()) {
+                    scheduling.outboxes.insert(joined.worker, out);
+                }
+                answer = joined;
+            }
+        },
+    );
+    c.watched().all_changed();
+    (answer, chores)
+}
+
+/// Lets a worker go. The caller does the chores.
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Chore>) {
+    let (mut departure, mut chores) = (Departure::Lost, Vec::new());
+    let scheduling = &mut *c.lock();
+    scheduling.outboxes.remove(&worker);
+    let effects = scheduling.machine.step(Event::Left(worker), c.now_plain());
+    carry_all(c, scheduling, effects, &mut chores, &mut |_, effect| {
+        if let Effect::Left(how) = effect {
+            departure = how;
+        }
+    });
+    c.watched().all_changed();
+    (departure, chores)
+}
+
+/// Tells the machine of an event, without blocking. The caller does the chores.
+#[must_use]
+pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
+    let mut chores = Vec::new();
+    // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
+    let now = c.now_plain();
+    if let Event::JobChanged(record) = &event
+        && record.state.phase().ended()
+    {
+        c.metrics.job_ended(&record.state.phase().to_string());
+    }
+    let scheduling = &mut *c.lock();
+    c.spans.heard(&event);
+    let effects = scheduling.machine.step(event, now);
+    carry_all(c, scheduling, effects, &mut chores, &mut |_, _| {});
+    chores
+}
+
+/// Carries out effects that do not block. The machine hears of orders that were not delivered after the
+/// others were sent, which it took as sent, too: so orders leave in the order of its decisions. `answered`
+/// gets the answers to `join` and `leave`.
+fn carry_all(
+    c: &Coordinator,
+    scheduling: &mut Scheduling,
+    effects: Vec<Effect>,
+    chores: &mut Vec<Chore>,
+    answered: &mut dyn FnMut(&mut Scheduling, Effect),
+) {
+    let mut lost = VecDeque::new();
+    let mut next = Some(effects);
+    while let Some(effects) = next {
+        for effect in effects {
+            if matches!(effect, Effect::Joined(_) | Effect::Left(_)) {
+                answered(scheduling, effect);
+            } else {
+                lost.extend(carry(c, scheduling, effect, chores));
+            }
+        }
+        next = lost
+            .pop_front()
+            .map(|event| scheduling.machine.step(event, c.now_plain()));
+    }
+}
+
+/// Carries out an effect that does not block; returns the event of an order that was not delivered.
+fn carry(
+    c: &Coordinator,
+    scheduling: &mut Scheduling,
+    effect: Effect,
+    chores: &mut Vec<Chore>,
+) -> Option<Event> {
+    match effect {
+        Effect::Tell(worker, order) => {
+            let lost = match &order {
+                Order::Grant(grant) => Some(Event::Undelivered(worker, grant.lease)),
+                Order::Help(help) => Some(Event::HelpUndelivered(worker, help.lease)),
+                Order::Revoke(_) | Order::Time { .. } => None,
+            };
+            if let Order::Grant(grant) = &order {
+                let name = scheduling.machine.name_of(worker).unwrap_or_default();
+                let text = format!("tile {} is leased to {name}", grant.lease.tile);
+                c.spans.leased(&grant.lease, name, &scheduling.machine);
+                c.happened(Happening::of_lease(Kind::Leased, &grant.lease, text).on(name));
+            }
+            if let Order::Revoke(lease) = &order
+                // Helpers are told so, too, while the lease goes on.
+                && !scheduling.machine.is_leased(lease)
+            {
+                c.spans.lease_ended(lease, spans::TAKEN_BACK);
+            }
+            let sent = scheduling
+                .outboxes
+                .get(&worker)
+                .is_some_and(|out| out.offer(order));
+            if let Some(Event::Undelivered(_, lease)) = lost.as_ref().filter(|_| !sent) {
+                c.spans.lease_ended(lease, spans::TAKEN_BACK);
+            }
+            return lost.filter(|_| !sent);
+        }
+        Effect::Run(command) => chores.push(Chore::Run(command)),
+        Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
+        Effect::Changed(job) => c
+            .watched()
+            .changed(job, scheduling.machine.job(job).is_none()),
+        Effect::Note(note) => write(c, &note),
+        // Answers to `join` and `leave`, which look at them themselves.
+        Effect::Joined(_) | Effect::Left(_) => {}
+    }
+    None
+}
+
+/// Writes a note to the log and among the events.
+fn write(c: &Coordinator, note: &Note) {
+    let happening = match note {
+        Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
+            c.metrics.lease_taken_back();
+            c.spans.lease_ended(lease, spans::TAKEN_BACK);
+            let of = from
+                .as_ref()
+                .map(|name| format!(" from worker {name}"))
+                .unwrap_or_default();
+            tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
+            let text = format!("tile {tile} is taken back{of}: {why}");
+            Happening::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
+        }
+        Note::TakenOver(lease @ Lease { job, tile, .. }, from) => {
+            let text = format!("queued on the busy worker {from}, goes to an idle worker");
+            tracing::info!("tile {tile} of job {job}, {text}");
+            Happening::of_lease(Kind::TakenBack, lease, format!("tile {tile}, {text}")).on(from)
+        }
+        Note::Doubled(lease @ Lease { job, tile, .. }) => {
+            let text = "takes long; an idle worker computes it, too";
+            tracing::info!("tile {tile} of job {job} {text}");
+            Happening::of_lease(Kind::Job, lease, format!("tile {tile} {text}"))
+        }
+        Note::TileFailed(lease @ Lease { job, tile, .. }, worker, reason) => {
+            c.spans.lease_ended(lease, spans::FAILED);
+            tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
+            let text = format!("tile {tile} failed on {worker}: {reason}");
+            Happening::of_lease(Kind::Failed, lease, text).on(worker)
+        }
+        Note::Died(lease @ Lease { job, tile, .. }, worker) => {
+            c.metrics.worker_died();
+            c.spans.lease_ended(lease, spans::FAILED);
+            let text = format!("worker {worker} ended without a word while it held tile {tile}");
+            tracing::warn!("job {job}: {text}");
+            Happening::of_lease(Kind::Failed, lease, text).on(worker)
+        }
+        Note::Agrees(job, tile, worker) => {
+            c.metrics.spot_check("same");
+            let text = format!("tile {tile} was computed again, with the same bytes");
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Check, *job, text).on(worker)
+            }
+        }
+        Note::Differs(job, tile, workers) => {
+            c.metrics.spot_check("different");
+            let text = format!(
+                "tile {tile} was computed again, with other bytes; until a third worker has said who is \
+                 right, these get no tiles: {}",
+                workers.join(", ")
+            );
+            tracing::error!("job {job}: {text}");
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Conflict, *job, text)
+            }
+        }
+        Note::NeedsThird(job, tile) => {
+            let text = format!(
+                "tile {tile} has two different outputs and nobody is there to say which is right: start \
+                 another worker"
+            );
+            tracing::error!("job {job}: {text}");
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Conflict, *job, text)
+            }
+        }
+        Note::Unchecked(job, tile, why) => {
+            c.metrics.spot_check("skipped");
+            let text = format!("tile {tile} was to be computed again and was not: {why}");
+            tracing::warn!("job {job}: {text}");
+            Happening {
+                tile: Some(*tile),
+                ..Happening::of_job(Kind::Check, *job, text)
+            }
+        }
+        Note::Draining(name) => {
+            let text = format!("worker {name} is draining: it finishes its tile and takes no more");
+            tracing::info!("{text}");
+            Happening::of(Kind::Worker, text).on(name)
+        }
+        Note::Chosen(job, chosen) => {
+            tracing::info!("job {job}: {chosen}");
+            Happening::of_job(Kind::Job, *job, chosen)
+        }
+        Note::GraceOver(job, tiles) => {
+            let text = match tiles {
+                0 => "all its tiles at work are with their workers again".to_owned(),
+                1 => "no worker has come back for one of its tiles".to_owned(),
+                n => format!("no worker has come back for {n} of its tiles"),
+            };
+            tracing::info!("job {job} goes on: {text}");
+            Happening::of_job(Kind::Job, *job, format!("the job goes on: {text}"))
+        }
+    };
+    c.happened(happening);
+}

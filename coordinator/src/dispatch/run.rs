@@ -1,0 +1,214 @@
+//! The work that follows from an event and blocks: commands of the store, and assembling results.
+//!
+//! The scheduler's lock is never held during a call of the store. Commands about records of jobs take turns
+//! (`Coordinator::turn`), so that the machine hears of them in the order in which the store carried them out;
+//! the outputs of tiles do not, so that many of them share one sync of the disk.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use crate::assemble::result::stand_in;
+use crate::dispatch::{Chore, tell};
+use crate::jobs::invalidate;
+use crate::jobs::retention_stamp;
+use crate::results::finalize;
+use crate::scheduler::{Command, Event};
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobState, StoreError, TileCheck};
+use crate::telemetry::events::{Happening, Kind};
+
+/// Tells the machine of an event and does what follows from it. Blocks on the disk.
+pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
+    let chores = tell(c, event);
+    do_chores(c, chores);
+}
+
+/// Does chores and all that follow from them. Blocks on the disk.
+pub(crate) fn do_chores(c: &Arc<Coordinator>, chores: Vec<Chore>) {
+    let mut open = VecDeque::from(chores);
+    while let Some(chore) = open.pop_front() {
+        match chore {
+            Chore::Run(command) => open.extend(run(c, command)),
+            Chore::Assemble(job) => {
+                let c = Arc::clone(c);
+                std::thread::spawn(move || {
+                    let chores = finalize::finish(&c, job);
+                    do_chores(&c, chores);
+                });
+            }
+        }
+    }
+}
+
+/// Runs a command of the store and tells the machine how it went.
+fn run(c: &Arc<Coordinator>, command: Command) -> Vec<Chore> {
+    // Until the machine has heard of it.
+    let _turn = c.turn();
+    let mut chores = Vec::new();
+    match outcome(c, &command, &mut chores) {
+        Ok(Some(event)) => chores.extend(tell(c, event)),
+        Ok(None) => {}
+        // The job has changed in the meantime; the machine has heard of that, or will.
+        Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
+        Err(e) => {
+            let text = format!("no tiles are granted for a while: {e}");
+            tracing::error!("{text}");
+            c.happened(Happening::of(Kind::Coordinator, text));
+            chores.extend(tell(c, Event::Refused(command)));
+        }
+    }
+    chores
+}
+
+fn outcome(
+    c: &Arc<Coordinator>,
+    command: &Command,
+    chores: &mut Vec<Chore>,
+) -> Result<Option<Event>, StoreError> {
+    let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
+    match command {
+        Command::Bind(id, profile) => {
+            Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?)))
+        }
+        Command::Start(id) => {
+            let record = c.store.set_job_state(
+                *id,
+                &[JobPhase::Queued],
+                JobState::Running,
+                retention_stamp::end_time(c),
+            )?;
+            c.happened(Happening::of_job(Kind::Job, *id, "the job is running"));
+            changed(record)
+        }
+        Command::Fail {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
+            let on = c.store.fail_tile(*job, *tile, worker, reason)?;
+            // What the tile failed on may be in them.
+            c.crews.outcomes.remove((*job, *tile));
+            let reason = reason.clone();
+            Ok(Some(Event::FailureRecorded {
+                job: *job,
+                tile: *tile,
+                on,
+                reason,
+                dead: None,
+            }))
+        }
+        // The next leader continues with the outcomes of a dead one.
+        Command::CountDeath {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
+            let on = c.store.count_death(*job, *tile, worker, reason)?;
+            let (reason, dead) = (reason.clone(), Some(worker.clone()));
+            Ok(Some(Event::FailureRecorded {
+                job: *job,
+                tile: *tile,
+                on,
+                reason,
+                dead,
+            }))
+        }
+        Command::CancelDeath {
+            job,
+            tile,
+            worker,
+            reason,
+        } => {
+            c.store.forget_failure(*job, *tile, worker, reason)?;
+            Ok(None)
+        }
+        Command::SetAside {
+            job,
+            work,
+            tiles,
+            reason,
+        } => {
+            for &tile in tiles {
+                let made = stand_in(c, &work.spec, &work.lattice, &work.plan.tiles[tile.at()]);
+                let (digest, bytes) = match made {
+                    Ok(made) => made,
+                    Err(e) => {
+                        tracing::error!("tile {tile} of job {job} cannot be set aside: {e}");
+                        return Ok(Some(Event::Refused(command.clone())));
+                    }
+                };
+                match c.store.set_aside_tile(
+                    *job,
+                    tile,
+                    digest,
+                    bytes,
+                    std::slice::from_ref(reason),
+                ) {
+                    Ok(()) => {
+                        let text = "is set aside: its cells will show every triangle";
+                        tracing::error!("tile {tile} of job {job} {text}");
+                        c.metrics.tile_set_aside();
+                        let text = format!("tile {tile} {text} ({reason})");
+                        let what = Happening::of_job(Kind::SetAside, *job, text);
+                        c.happened(Happening {
+                            tile: Some(tile),
+                            ..what
+                        });
+                    }
+                    // A late result has come in between; the machine hears of it.
+                    Err(StoreError::TileNotOpen { .. }) => {}
+                    Err(e) => return Err(e),
+                }
+                chores.extend(tell(
+                    c,
+                    Event::SetAside {
+                        job: *job,
+                        tile,
+                        digest,
+                    },
+                ));
+            }
+            Ok(None)
+        }
+        Command::Confirm {
+            job,
+            tile,
+            digest,
+            worker,
+        } => {
+            let check = TileCheck {
+                worker: worker.clone(),
+                at_ms: c.now().unix_ms,
+            };
+            c.store.confirm_tile(*job, *tile, *digest, check)?;
+            Ok(None)
+        }
+        Command::Quarantine {
+            workers,
+            condemned,
+            reason,
+        } => {
+            invalidate::condemn(c, workers, *condemned, reason, chores)?;
+            Ok(None)
+        }
+        Command::FailJob(id, reason) => {
+            // Submitted again, the job begins from nothing.
+            c.crews.outcomes.sweep(|job| job != *id);
+            let failed = JobState::Failed {
+                reason: reason.clone(),
+            };
+            let at = retention_stamp::end_time(c);
+            let record =
+                c.store
+                    .set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
+            c.happened(Happening::of_job(
+                Kind::Job,
+                *id,
+                format!("the job has failed: {reason}"),
+            ));
+            changed(record)
+        }
+    }
+}

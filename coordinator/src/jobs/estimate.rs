@@ -1,0 +1,217 @@
+//! What a submission would cost: its plan, and what finished jobs like it have needed.
+//!
+//! Time and bytes are taken as proportional to the number of cells. That holds from 512 cells upwards, whose
+//! blocks share nothing; the cells of smaller grids cost more each.
+
+use std::sync::Arc;
+
+use prost::Message as _;
+use sightline_model::{JobSpec, SamplingParams};
+use sightline_viewcells::Division;
+
+use crate::access::Caller;
+use crate::ids::JobId;
+use crate::jobs::control::{self, Summary};
+use crate::jobs::stored_spec;
+use crate::jobs::submit::{self, Submission, SubmitError};
+use crate::scheduler::cells_total;
+use crate::state::Coordinator;
+use crate::store::{JobPhase, JobRecord, JobState, owned_key, owned_request};
+
+/// Jobs that are looked at, from the newest.
+const MOST_LOOKED_AT: usize = 1000;
+
+/// See the module.
+pub(crate) struct Estimate {
+    pub(crate) tiles: u32,
+    /// 0 while the number is not known.
+    pub(crate) cells: u64,
+    /// The job that would answer the submission.
+    pub(crate) existing: Option<Summary>,
+    /// Open jobs that come first.
+    pub(crate) jobs_before: u32,
+    pub(crate) workers: u32,
+    pub(crate) cost: Option<Cost>,
+}
+
+/// A cost that is expected from earlier jobs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Cost {
+    pub(crate) jobs: u32,
+    /// Whether they are of the same scene and parameters.
+    pub(crate) same_scene: bool,
+    /// Time of workers and size of the result: of the cheapest, the median and the dearest job.
+    pub(crate) millis: [u64; 3],
+    pub(crate) bytes: [u64; 3],
+}
+
+/// What a finished job needed.
+struct Finished {
+    like: bool,
+    cells: u64,
+    millis: u64,
+    bytes: u64,
+}
+
+/// Estimates a submission. Changes nothing.
+pub(crate) fn estimate(
+    c: &Arc<Coordinator>,
+    caller: &Caller,
+    submission: &Submission,
+) -> Result<Estimate, SubmitError> {
+    let spec = &submission.spec;
+    let plan = submit::plan(spec)?;
+    let cells = cells_total(spec, &plan);
+    let known = match c
+        .store
+        .job_by_request(&owned_request(&submission.request_id, &submission.owner))?
+    {
+        Some(job) => Some(job),
+        None => c
+            .store
+            .job_by_key(&owned_key(spec.key(), &submission.owner))?,
+    };
+    let answers =
+        |job: &JobRecord| !matches!(job.state.phase(), JobPhase::Failed | JobPhase::Cancelled);
+    let existing = known
+        .filter(answers)
+        .map(|job| control::summary(c, job.id))
+        .transpose()?;
+    let (jobs_before, workers) = {
+        let scheduling = c.lock();
+        let machine = &scheduling.machine;
+        let before = |id: &JobId| {
+            machine.job(*id).is_some_and(|job| {
+                let equal = job.record.priority == submission.priority
+                    && job.record.user == submission.user;
+                let answers = existing
+                    .as_ref()
+                    .is_some_and(|answer| answer.record.id == *id);
+                job.runs()
+                    && job.open() > 0
+                    && !answers
+                    && (job.record.priority > submission.priority || equal)
+            })
+        };
+        (
+            machine.job_ids().iter().filter(|id| before(id)).count() as u32,
+            machine.workers(),
+        )
+    };
+    let cost = (cells > 0)
+        .then(|| finished(c, caller, spec))
+        .transpose()?
+        .and_then(|jobs| cost(&jobs, cells));
+    Ok(Estimate {
+        tiles: plan.tiles.len() as u32,
+        cells,
+        existing,
+        jobs_before,
+        workers,
+        cost,
+    })
+}
+
+/// The finished jobs of the same method and sampler that a caller may see.
+fn finished(
+    c: &Coordinator,
+    caller: &Caller,
+    spec: &JobSpec,
+) -> Result<Vec<Finished>, SubmitError> {
+    let (records, _) = c.store.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
+    let mut jobs = Vec::new();
+    for record in records
+        .into_iter()
+        .filter(|record| caller.sees(&record.owner))
+    {
+        let JobState::Done { bytes, .. } = record.state else {
+            continue;
+        };
+        // A specification of another version tells nothing about this one.
+        let Ok(other) = stored_spec::planned(&*c.blobs, &record.spec) else {
+            continue;
+        };
+        let of_a_kind = |s: &JobSpec| {
+            let boxes = matches!(s.division, Division::Tree(_));
+            let how = (s.method, s.certificates, s.sampling.sampler);
+            (how, s.time_budget_ms > 0, boxes, s.ambient.is_some())
+        };
+        if of_a_kind(&other) != of_a_kind(spec) {
+            continue;
+        }
+        let sum = control::summary(c, record.id)?;
+        if sum.cells_done == 0 || sum.tiles_set_aside > 0 {
+            continue;
+        }
+        let like = other.scene == spec.scene && same(&other.sampling, &spec.sampling);
+        jobs.push(Finished {
+            like,
+            cells: sum.cells_done,
+            millis: sum.tile_millis,
+            bytes,
+        });
+    }
+    Ok(jobs)
+}
+
+/// Whether two jobs sample with the same parameters.
+fn same(a: &SamplingParams, b: &SamplingParams) -> bool {
+    a.to_proto().encode_to_vec() == b.to_proto().encode_to_vec()
+}
+
+/// The cost of `cells` cells by these jobs: by those on the same scene alone, if there are any.
+fn cost(jobs: &[Finished], cells: u64) -> Option<Cost> {
+    let same_scene = jobs.iter().any(|job| job.like);
+    let used: Vec<&Finished> = jobs.iter().filter(|job| job.like || !same_scene).collect();
+    let of = |what: &dyn Fn(&Finished) -> u64| {
+        let scaled = |job: &&Finished| {
+            let exact = u128::from(what(job)) * u128::from(cells) / u128::from(job.cells);
+            u64::try_from(exact).unwrap_or(u64::MAX)
+        };
+        let mut all: Vec<u64> = used.iter().map(scaled).collect();
+        all.sort_unstable();
+        Some([*all.first()?, *all.get(all.len() / 2)?, *all.last()?])
+    };
+    let (millis, bytes) = (of(&|job| job.millis)?, of(&|job| job.bytes)?);
+    Some(Cost {
+        jobs: used.len() as u32,
+        same_scene,
+        millis,
+        bytes,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn jobs_on_the_same_scene_count_before_others() {
+        let job = |like, cells, millis| Finished {
+            like,
+            cells,
+            millis,
+            bytes: 10 * millis,
+        };
+        assert_eq!(cost(&[], 8), None);
+        let others = [job(false, 10, 100), job(false, 1, 2), job(false, 5, 20)];
+        let found = cost(&others, 10).unwrap();
+        assert_eq!((found.jobs, found.same_scene), (3, false));
+        assert_eq!(
+            (found.millis, found.bytes),
+            ([20, 40, 100], [200, 400, 1000])
+        );
+        let found = cost(&[job(false, 1, 1000), job(true, 4, 8)], 8).unwrap();
+        assert_eq!(
+            (found.jobs, found.same_scene, found.millis),
+            (1, true, [16, 16, 16])
+        );
+        let most = [Finished {
+            like: true,
+            cells: 1,
+            millis: u64::MAX,
+            bytes: 0,
+        }];
+        assert_eq!(cost(&most, 9).unwrap().millis[0], u64::MAX);
+    }
+}

@@ -1,0 +1,265 @@
+//! Results that are not believed any more: those of a worker whose bytes were wrong, or those that a person
+//! names. Their tiles are computed again, with all tiles that were computed from them.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::dispatch::{Chore, tell};
+use crate::ids::{JobId, TileIndex};
+use crate::jobs::retention_stamp;
+use crate::jobs::stored_spec;
+use crate::scheduler::{Event, Job};
+use crate::state::Coordinator;
+use crate::store::{
+    JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState,
+};
+use crate::telemetry::events::{Happening, Kind};
+
+/// Which results are meant.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Which {
+    /// Of this job alone.
+    pub(crate) job: Option<JobId>,
+    /// These tiles alone; empty for all.
+    pub(crate) tiles: BTreeSet<TileIndex>,
+    /// Those in which a worker of this name may have had a hand.
+    pub(crate) worker: Option<String>,
+    /// Those that were committed in this time, in milliseconds since 1970. Tiles of earlier versions have no
+    /// time and are always meant.
+    pub(crate) from_ms: u64,
+    pub(crate) to_ms: u64,
+}
+
+impl Which {
+    fn means(&self, record: &TileRecord) -> bool {
+        let TileState::Done { stats, .. } = &record.state else {
+            return false;
+        };
+        let timed = stats.at_ms == 0 || (self.from_ms..=self.to_ms).contains(&stats.at_ms);
+        let named = self.tiles.is_empty() || self.tiles.contains(&record.tile);
+        timed
+            && named
+            && self
+                .worker
+                .as_ref()
+                .is_none_or(|name| stats.may_be_of(name))
+    }
+}
+
+/// Quarantines workers, and has what they did since they were last right computed again. To be called while
+/// holding the turn.
+pub(crate) fn condemn(
+    c: &Coordinator,
+    workers: &[String],
+    condemned: Option<(JobId, TileIndex)>,
+    reason: &str,
+    chores: &mut Vec<Chore>,
+) -> Result<(), StoreError> {
+    // The quarantine is recorded last: after a crash before that the worker is only found once more.
+    for (job, tiles) in unbelieved(&*c.store, workers, condemned)? {
+        if let Some(record) = c.store.job(job)? {
+            open_again(c, record, tiles, true, chores)?;
+        }
+    }
+    // Phases of open tiles that they may have computed are computed again, too.
+    c.crews.outcomes.sweep(|_| false);
+    chores.extend(tell(c, Event::Swept));
+    for worker in workers {
+        let at_ms = c.now().unix_ms;
+        let record = QuarantineRecord {
+            worker: worker.clone(),
+            at_ms,
+            reason: reason.to_owned(),
+        };
+        c.store.quarantine(record)?;
+        let text = format!(
+            "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed \
+             again. Find out what is wrong with its machine, driver or program; `sightline workers --release \
+             {worker}` lets it work again"
+        );
+        tracing::error!("{text}");
+        c.happened(Happening::of(Kind::Worker, text).on(worker));
+    }
+    Ok(())
+}
+
+/// Returns the done tiles of each job that are computed again when these workers are quarantined: the tiles
+/// since their last confirmed tile, and the condemned tile.
+pub(crate) fn unbelieved(
+    store: &dyn Store,
+    workers: &[String],
+    condemned: Option<(JobId, TileIndex)>,
+) -> Result<BTreeMap<JobId, BTreeSet<TileIndex>>, StoreError> {
+    let agreed = agreements(store, workers)?;
+    let of_worker = |worker: &String| {
+        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
+        Which {
+            worker: Some(worker.clone()),
+            from_ms,
+            to_ms: u64::MAX,
+            ..Which::default()
+        }
+    };
+    let all: Vec<Which> = workers.iter().map(of_worker).collect();
+    let mut unbelieved = BTreeMap::new();
+    for job in store.jobs()? {
+        let is_done = |tile: &TileRecord| matches!(tile.state, TileState::Done { .. });
+        let is_meant = |tile: &TileRecord| {
+            all.iter().any(|which| which.means(tile))
+                || is_done(tile) && condemned == Some((job.id, tile.tile))
+        };
+        let tiles = store.tiles(job.id)?;
+        let tiles: BTreeSet<TileIndex> = tiles
+            .iter()
+            .filter(|t| is_meant(t))
+            .map(|t| t.tile)
+            .collect();
+        if !tiles.is_empty() {
+            unbelieved.insert(job.id, tiles);
+        }
+    }
+    Ok(unbelieved)
+}
+
+/// When each of these workers was last known to be right: when it committed a tile that another one has
+/// confirmed, or confirmed one itself.
+fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
+    let mut last: BTreeMap<String, u64> = BTreeMap::new();
+    for job in store.jobs()? {
+        for tile in store.tiles(job.id)? {
+            let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else {
+                continue;
+            };
+            for worker in workers {
+                let at = if check.worker == *worker {
+                    check.at_ms
+                } else if stats.worker == *worker || stats.helpers.contains(worker) {
+                    stats.at_ms
+                } else {
+                    continue;
+                };
+                let known = last.entry(worker.clone()).or_default();
+                *known = at.max(*known);
+            }
+        }
+    }
+    Ok(last)
+}
+
+/// Opens tiles again; returns how many of each job. To be called while holding the turn.
+pub(crate) fn invalidate(
+    c: &Coordinator,
+    which: &Which,
+    chores: &mut Vec<Chore>,
+) -> Result<BTreeMap<JobId, u32>, StoreError> {
+    let jobs = match which.job {
+        Some(id) => {
+            let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+            if let Some(&tile) = which.tiles.iter().find(|tile| tile.0 >= job.tiles) {
+                return Err(StoreError::UnknownTile {
+                    job: id,
+                    tile,
+                    tiles: job.tiles,
+                });
+            }
+            vec![job]
+        }
+        None => c.store.jobs()?,
+    };
+    let mut opened = BTreeMap::new();
+    for job in jobs {
+        let tiles: BTreeSet<TileIndex> = c
+            .store
+            .tiles(job.id)?
+            .iter()
+            .filter(|tile| which.means(tile))
+            .map(|tile| tile.tile)
+            .collect();
+        if !tiles.is_empty() {
+            let id = job.id;
+            opened.insert(id, open_again(c, job, tiles, true, chores)?);
+        }
+    }
+    Ok(opened)
+}
+
+/// Opens tiles of a job whose outputs are lost. To be called while holding the turn.
+pub(crate) fn open(
+    c: &Coordinator,
+    job: JobId,
+    tiles: BTreeSet<TileIndex>,
+    chores: &mut Vec<Chore>,
+) -> Result<u32, StoreError> {
+    let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
+    open_again(c, record, tiles, false, chores)
+}
+
+/// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with
+/// it.
+fn open_again(
+    c: &Coordinator,
+    job: JobRecord,
+    tiles: BTreeSet<TileIndex>,
+    with: bool,
+    chores: &mut Vec<Chore>,
+) -> Result<u32, StoreError> {
+    let (id, was) = (job.id, job.state.phase());
+    let spec = stored_spec::whole(&*c.blobs, &job.spec);
+    if spec.is_err()
+        && let Some(part) = stored_spec::part(&job.spec).ok().and_then(|(_, part)| part)
+        && let Err(e) = c.blobs.open_checked(&part)
+        && e.passes()
+    {
+        return Err(StoreError::BlobWaits {
+            what: e.to_string(),
+        });
+    }
+    let again = |record: JobRecord| {
+        let spec = spec.as_ref().map_err(String::clone)?;
+        Job::of(record, spec, c.store.tiles(id).map_err(|e| e.to_string())?)
+    };
+    // A job that another version began cannot be computed again; a result that is wrong must not stay as it
+    // is.
+    let tiles = match again(job) {
+        Ok(job) if with => job.with_dependents(tiles),
+        Ok(_) => tiles,
+        Err(reason) => {
+            tracing::error!(
+                "job {id} has results that are not believed any more, and cannot be continued: {reason}"
+            );
+            tiles
+        }
+    };
+    let tiles: Vec<TileIndex> = tiles.into_iter().collect();
+    // An output that was computed from these tiles and is being committed is there before, and opened with
+    // them, or finds its lease taken back.
+    let _alone = c.no_commits();
+    let opened = c.store.invalidate_tiles(id, &tiles)?;
+    let text = match was {
+        JobPhase::Done => {
+            format!("the result is not believed any more; all {opened} tiles are computed again")
+        }
+        _ if with => format!("{opened} tiles are not believed any more and are computed again"),
+        _ => format!("the outputs of {opened} tiles are lost and are computed again"),
+    };
+    tracing::warn!("job {id}: {text}");
+    c.happened(Happening::of_job(Kind::Job, id, text));
+    let Some(record) = c
+        .store
+        .job(id)?
+        .filter(|record| !record.state.phase().ended())
+    else {
+        return Ok(opened);
+    };
+    match again(record) {
+        Ok(job) => chores.extend(tell(c, Event::TakenUp(Box::new(job)))),
+        Err(reason) => {
+            let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
+            let failed = crate::store::JobState::Failed { reason };
+            let record = c
+                .store
+                .set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
+            chores.extend(tell(c, Event::JobChanged(Box::new(record))));
+        }
+    }
+    Ok(opened)
+}

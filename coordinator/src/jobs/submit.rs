@@ -1,0 +1,226 @@
+//! Submission: a checked specification becomes a job, or finds the job that has the same result.
+
+use std::sync::Arc;
+
+use sightline_model::{JobSpec, Method};
+use sightline_traces::Begun;
+use sightline_viewcells::{DivisionError, Plan};
+
+use crate::dispatch::run::do_chores;
+use crate::dispatch::tell;
+use crate::ids::{Digest, JobId};
+use crate::jobs::stored_spec;
+use crate::quota::Usage;
+use crate::scheduler::{Event, Job};
+use crate::state::Coordinator;
+use crate::store::{
+    BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request,
+};
+use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::spans::Cause;
+use crate::uploads::receivers;
+use crate::uploads::scenes::{self, FactsError};
+use crate::users::quota_check::{HavingError, may_have, turn_of};
+
+/// A specification to be submitted.
+pub(crate) struct Submission {
+    /// Chosen by the client; submitting again with the same one gives the same job.
+    pub(crate) request_id: String,
+    /// For people.
+    pub(crate) name: String,
+    /// Whose it will be.
+    pub(crate) owner: String,
+    /// Who submits it.
+    pub(crate) user: String,
+    /// Jobs of higher priority come first.
+    pub(crate) priority: i32,
+    /// The job.
+    pub(crate) spec: JobSpec,
+    /// What led to it, for its trace.
+    pub(crate) cause: Cause,
+}
+
+/// A submission that is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SubmitError {
+    /// The specification cannot be planned.
+    #[error("{0}")]
+    Spec(String),
+    /// The job was stored but cannot be scheduled.
+    #[error("{0}")]
+    Schedule(String),
+    /// The user may not have more.
+    #[error(transparent)]
+    Having(#[from] HavingError),
+    /// The kinds of the scene's triangles cannot be read.
+    #[error(transparent)]
+    Facts(#[from] FactsError),
+    /// The receivers cannot be had.
+    #[error(transparent)]
+    Receivers(#[from] receivers::Fault),
+    /// A lost result cannot be removed, or the viewpoints cannot be stored.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// The plan of a job, if its division can be sampled.
+pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
+    let bad = |e: DivisionError| SubmitError::Spec(e.to_string());
+    spec.moved_by_rounding().map_err(bad)?;
+    spec.plan().map(|(_, plan)| plan).map_err(bad)
+}
+
+/// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
+/// is lost is begun again.
+pub(crate) fn submit(
+    c: &Arc<Coordinator>,
+    submission: &Submission,
+) -> Result<Submitted, SubmitError> {
+    let begun = Begun::now();
+    let Submission {
+        request_id,
+        name,
+        owner,
+        user,
+        priority,
+        spec,
+        cause,
+    } = submission;
+    let plan = plan(spec)?;
+    if spec.method != Method::Aggressive {
+        let facts = scenes::facts(c, &spec.scene)?;
+        if facts.kinds.any_masked() {
+            return Err(SubmitError::Spec(
+                "exact queries do not read the alpha masks of this scene; submit with the method aggressive, \
+                 or a scene that was read without alpha textures"
+                    .to_owned(),
+            ));
+        }
+    }
+    let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
+    if let Some(triangle) = region.and_then(|region| region.greatest_triangle())
+        && triangle >= scenes::facts(c, &spec.scene)?.triangles
+    {
+        return Err(SubmitError::Spec(format!(
+            "the region of viewpoints names triangle {triangle}, which the scene does not have; submit with \
+             the scene that the region was found in"
+        )));
+    }
+    if let Some(ambient) = spec.ambient
+        && let Some(triangle) = receivers::stored(c, ambient.receivers)?
+            .facts
+            .greatest_triangle
+        && triangle >= scenes::facts(c, &spec.scene)?.triangles
+    {
+        return Err(SubmitError::Spec(format!(
+            "a receiver lies on triangle {triangle}, which the scene does not have; submit with the scene \
+             that the receivers are for"
+        )));
+    }
+    let _having = turn_of(c, owner);
+    let bytes = spec.ambient.map_or(0, |ambient| ambient.bytes);
+    // What was sent for this job counts until now as a chunk.
+    let sent = spec
+        .ambient
+        .filter(|ambient| c.uploads.has(owner, &ambient.receivers))
+        .map_or(0, |_| bytes);
+    let more = Usage {
+        bytes,
+        jobs: 1,
+        tiles: plan.tiles.len() as u64,
+        ..Usage::default()
+    };
+    // A job that is there already is no more.
+    let known = c
+        .store
+        .job_by_key(&owned_key(spec.key(), owner))?
+        .map(|job| job.state.phase());
+    if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
+        may_have(c, owner, more, sent)?;
+    }
+    // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
+    let mut turn = c.turn();
+    if let Some(ambient) = spec.ambient {
+        receivers::hold(c, ambient.receivers)?;
+    }
+    let job = NewJob {
+        key: owned_key(spec.key(), owner),
+        request_id: owned_request(request_id, owner),
+        name: name.clone(),
+        owner: owner.clone(),
+        user: user.clone(),
+        priority: *priority,
+        scene: spec.scene,
+        spec: stored_spec::stored(&*c.blobs, spec)?,
+        tiles: plan.tiles.len() as u32,
+        submitted_at_ms: c.now().unix_ms,
+    };
+    let mut submitted = c.store.submit_job(job.clone()).map_err(|e| match e {
+        // By the id that the client gave.
+        StoreError::RequestIdReused { job, .. } => StoreError::RequestIdReused {
+            request_id: request_id.clone(),
+            job,
+        },
+        e => e,
+    })?;
+    if submitted.existing
+        && let Some(result) = result_of(c, submitted.id)?
+    {
+        // Reading a large result takes time; nobody else waits for it.
+        drop(turn);
+        let lost = c.blobs.open_checked(&result).err();
+        turn = c.turn();
+        if let Some(e) = lost.as_ref().filter(|e| e.passes()) {
+            return Err(e.clone().into());
+        }
+        if let Some(e) = lost
+            && result_of(c, submitted.id)? == Some(result)
+        {
+            // The outputs of its tiles were removed, so the job begins from nothing.
+            tracing::warn!(
+                "the result of job {} is lost ({e}); it is baked again",
+                submitted.id
+            );
+            c.blobs.remove(&result)?;
+            c.store.delete_job(submitted.id)?;
+            submitted = c.store.submit_job(job)?;
+        }
+    }
+    if let Some(ambient) = spec.ambient {
+        // From now on it is the job that names them.
+        c.uploads.forget(owner, &[ambient.receivers]);
+    }
+    let mut chores = Vec::new();
+    if !submitted.existing {
+        let id = submitted.id;
+        let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+        let tiles = c.store.tiles(id)?;
+        let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
+        tracing::info!(
+            "job {id} ({name:?}) is submitted; tiles: {}",
+            plan.tiles.len()
+        );
+        let by = if user.is_empty() {
+            String::new()
+        } else {
+            format!(" by {user}")
+        };
+        let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
+        c.happened(Happening::of_job(Kind::Submitted, id, text));
+        chores = tell(c, Event::TakenUp(Box::new(job)));
+        c.spans.planned(id, begun, plan.tiles.len(), *cause);
+    }
+    drop(turn);
+    do_chores(c, chores);
+    Ok(submitted)
+}
+
+fn result_of(c: &Coordinator, id: JobId) -> Result<Option<Digest>, StoreError> {
+    Ok(match c.store.job(id)?.map(|job| job.state) {
+        Some(JobState::Done { result, .. }) => Some(result),
+        _ => None,
+    })
+}

@@ -1,0 +1,124 @@
+//! The tiles of a job, as people see them: where they are, how they stand, and what they cost.
+
+use sightline_viewcells::TileKind;
+
+use crate::ids::{JobId, TileIndex};
+use crate::jobs::stored_spec;
+use crate::scheduler::Standing;
+use crate::state::Coordinator;
+use crate::store::{StoreError, TileFailure, TileState};
+
+/// A tile of a job.
+#[derive(Clone, Debug)]
+pub(crate) struct TileView {
+    pub(crate) tile: TileIndex,
+    pub(crate) standing: Standing,
+    /// Its part of the view box, in world space; `None` if another version of the program planned the job, or
+    /// if it has receivers and no cells.
+    pub(crate) bounds: Option<[glam::Vec3; 2]>,
+    /// View cells by the plan.
+    pub(crate) cells: u64,
+    pub(crate) cells_done: u64,
+    pub(crate) samples: u64,
+    pub(crate) millis: u64,
+    pub(crate) workers: Vec<String>,
+    pub(crate) failures: Vec<TileFailure>,
+    pub(crate) conflicts: u32,
+    /// Whether it yields samples for other tiles.
+    pub(crate) is_pack: bool,
+}
+
+/// Some tiles of a job.
+pub(crate) struct Page {
+    pub(crate) tiles: Vec<TileView>,
+    /// The first tile that was not looked at, if there is one.
+    pub(crate) next: Option<TileIndex>,
+    /// Tiles of the job.
+    pub(crate) total: u32,
+}
+
+/// How all tiles of a job stand. Blocks on the disk for one that has ended.
+pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<Standing>, StoreError> {
+    if let Some(live) = c.lock().machine.standings(id) {
+        return Ok(live);
+    }
+    let of = |state: &TileState| match state {
+        TileState::Open => Standing::Waiting,
+        TileState::Done { .. } => Standing::Done,
+        TileState::SetAside { .. } => Standing::SetAside,
+    };
+    Ok(c.store
+        .tiles(id)?
+        .iter()
+        .map(|tile| of(&tile.state))
+        .collect())
+}
+
+/// At most `most` tiles of a job from `first` on, of those in one of these states, or of all.
+pub(crate) fn list(
+    c: &Coordinator,
+    id: JobId,
+    first: TileIndex,
+    most: usize,
+    wanted: &[Standing],
+) -> Result<Page, StoreError> {
+    let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
+    let records = c.store.tiles(id)?;
+    let live = c.lock().machine.live_tiles(id, 0..records.len());
+    let planned = stored_spec::planned(&*c.blobs, &record.spec).ok();
+    let planned = planned
+        .and_then(|spec| spec.plan().ok())
+        .filter(|(_, p)| p.tiles.len() == records.len());
+    let total = records.len() as u32;
+    let has_receivers = stored_spec::receivers(&record.spec).is_some();
+    let (mut tiles, mut next) = (Vec::new(), None);
+    for (at, record) in records.into_iter().enumerate().skip(first.at()) {
+        if tiles.len() == most {
+            next = Some(TileIndex(at as u32));
+            break;
+        }
+        let live = live.as_ref().and_then(|live| live.get(at));
+        let standing = match (&record.state, live) {
+            (TileState::Done { .. }, _) => Standing::Done,
+            (TileState::SetAside { .. }, _) => Standing::SetAside,
+            (TileState::Open, Some(live)) => live.standing,
+            (TileState::Open, None) => Standing::Waiting,
+        };
+        if !wanted.is_empty() && !wanted.contains(&standing) {
+            continue;
+        }
+        let mut view = TileView {
+            tile: record.tile,
+            standing,
+            bounds: None,
+            cells: 0,
+            cells_done: 0,
+            samples: 0,
+            millis: 0,
+            workers: Vec::new(),
+            failures: record.failures,
+            conflicts: record.conflicts,
+            is_pack: false,
+        };
+        if let Some((lattice, plan)) = &planned {
+            let tile = &plan.tiles[at];
+            view.bounds = (!has_receivers).then(|| tile.cell.world(lattice).into());
+            (view.cells, view.is_pack) = (tile.cells, tile.kind != TileKind::Leaf);
+        }
+        match (record.state, live) {
+            (TileState::Done { stats, .. }, _) => {
+                (view.cells_done, view.samples, view.millis) =
+                    (stats.cells, stats.samples, stats.millis);
+                view.workers.push(stats.worker);
+                view.workers.extend(stats.helpers);
+            }
+            (_, Some(live)) => {
+                (view.cells_done, view.samples) = (live.cells, live.samples);
+                view.workers.clone_from(&live.workers);
+            }
+            _ => {}
+        }
+        tiles.push(view);
+    }
+    Ok(Page { tiles, next, total })
+}

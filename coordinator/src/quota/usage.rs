@@ -1,0 +1,75 @@
+//! What a user has, counted from the store's records.
+
+use super::{Beyond, Quota};
+use crate::jobs::stored_spec;
+use crate::store::{JobState, Store, StoreError};
+
+/// What a user has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Usage {
+    pub(crate) bytes: u64,
+    pub(crate) scenes: u64,
+    pub(crate) jobs: u64,
+    pub(crate) tiles: u64,
+}
+
+/// What a user has by the records; chunks that are no scene yet are not among them.
+pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> {
+    let mut usage = Usage::default();
+    for scene in store
+        .scenes()?
+        .into_iter()
+        .filter(|scene| scene.owners.contains(user))
+    {
+        usage.scenes += 1;
+        usage.bytes = usage.bytes.saturating_add(scene.bytes);
+    }
+    for job in store.jobs()?.into_iter().filter(|job| job.owner == user) {
+        usage.jobs += 1;
+        usage.tiles += u64::from(job.tiles);
+        if let JobState::Done { bytes, .. } = job.state {
+            usage.bytes = usage.bytes.saturating_add(bytes);
+        }
+        // Of several jobs with the same receivers each counts them.
+        let receivers = stored_spec::receivers(&job.spec)
+            .map_or(0, |ambient| ambient.bytes.unwrap_or_default());
+        usage.bytes = usage.bytes.saturating_add(receivers);
+    }
+    Ok(usage)
+}
+
+impl Usage {
+    /// Both together.
+    pub(crate) fn and(self, more: Self) -> Self {
+        Self {
+            bytes: self.bytes.saturating_add(more.bytes),
+            scenes: self.scenes + more.scenes,
+            jobs: self.jobs + more.jobs,
+            tiles: self.tiles + more.tiles,
+        }
+    }
+
+    /// Whether a user may have this.
+    ///
+    /// # Errors
+    /// [`Beyond::Quota`] with the first thing that is too much.
+    pub(crate) fn within(self, quota: &Quota, user: &str) -> Result<(), Beyond> {
+        let of = [
+            ("bytes", self.bytes, quota.bytes),
+            ("scenes", self.scenes, quota.scenes),
+            ("jobs", self.jobs, quota.jobs),
+            ("tiles", self.tiles, quota.tiles),
+        ];
+        for (what, wanted, most) in of {
+            if let Some(most) = most.filter(|most| wanted > *most) {
+                return Err(Beyond::Quota {
+                    user: user.to_owned(),
+                    what,
+                    most,
+                    wanted,
+                });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,277 @@
+//! The end of a job: assembles its result, ends it in the store, and removes tile outputs that no job needs
+//! any more.
+
+use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use sightline_traces::Begun;
+
+use crate::assemble::result::{AssembleError, Parts, assemble};
+use crate::dispatch::{Chore, tell};
+use crate::ids::{Digest, JobId, TileIndex};
+use crate::jobs::invalidate;
+use crate::jobs::retention_stamp;
+use crate::jobs::suspend;
+use crate::scheduler::{Event, Output};
+use crate::state::{Coordinator, Lacks};
+use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
+use crate::telemetry::events::{Happening, Kind};
+
+/// A complete job, copied from the scheduler.
+fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
+    let scheduling = c.lock();
+    let job = scheduling.machine.job(id)?;
+    Some(Parts {
+        work: Arc::clone(&job.work),
+        profile: job.record.profile.clone().unwrap_or_default(),
+        outputs: job.tiles.iter().map(|t| t.output).collect(),
+        samples: job.samples,
+    })
+}
+
+/// Assembles a job's result and ends the job.
+pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
+    // Absent when it was cancelled in the meantime.
+    let Some(parts) = parts(c, id) else {
+        return Vec::new();
+    };
+    let begun = Begun::now();
+    let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
+    let assembled = if parts.work.plan.leaves().all(aside) {
+        Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
+    } else {
+        // A panic must not leave the job half ended.
+        let assembled = catch_unwind(AssertUnwindSafe(|| assemble(c, &parts)));
+        let bytes = assembled
+            .as_ref()
+            .ok()
+            .and_then(|made| made.as_ref().ok())
+            .map(|(_, bytes)| *bytes);
+        c.spans.assembled(id, begun, bytes);
+        match assembled {
+            Ok(Err(e)) if e.passes() => {
+                tracing::error!("the result of job {id} waits and is tried again: {e}");
+                return tell(c, Event::AssemblyWaits(id));
+            }
+            Ok(Err(e)) if e.is_lost() => return do_without(c, id, &parts, &e),
+            Ok(r) => r.map_err(|e| e.to_string()),
+            Err(_) => {
+                Err("assembling the result panicked; the coordinator's log says where".to_owned())
+            }
+        }
+    };
+    // Until the machine has heard of the end.
+    let turn = c.turn();
+    let now = retention_stamp::end_time(c);
+    // Tiles may have been opened again, or computed again, while the result was assembled.
+    let now_there = c
+        .lock()
+        .machine
+        .job(id)
+        .map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
+    if now_there.as_ref() != Some(&parts.outputs) {
+        return tell(c, Event::AssemblyDropped(id));
+    }
+    let ended = match assembled {
+        // Another job with the same bytes may have been deleted before this one's record could name them.
+        Ok((digest, _)) if !c.blobs.has(&digest).unwrap_or(true) => {
+            return tell(c, Event::AssemblyDropped(id));
+        }
+        Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
+        Err(e) => {
+            tracing::error!("job {id} has no result: {e}");
+            let failed = JobState::Failed { reason: e };
+            c.store
+                .set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
+        }
+    };
+    let record = match ended {
+        Ok(record) => record,
+        // Paused or cancelled in the meantime: the result stays as a blob and is found again by its content.
+        Err(
+            StoreError::IllegalTransition { .. }
+            | StoreError::UnknownJob { .. }
+            | StoreError::TilesOpen { .. }
+            | StoreError::ResultDiffers { .. },
+        ) => {
+            return tell(c, Event::AssemblyDropped(id));
+        }
+        Err(e) => {
+            tracing::error!("job {id} cannot be ended and is tried again: {e}");
+            return tell(c, Event::AssemblyWaits(id));
+        }
+    };
+    if let JobState::Failed { reason } = &record.state {
+        c.happened(Happening::of_job(
+            Kind::Job,
+            id,
+            format!("the job has failed: {reason}"),
+        ));
+    }
+    if let JobState::Done { bytes, .. } = record.state {
+        tracing::info!("job {id} is done, {bytes} bytes");
+        c.happened(Happening::of_job(
+            Kind::Job,
+            id,
+            format!("the job is done, {bytes} bytes"),
+        ));
+    }
+    let done = matches!(record.state, JobState::Done { .. });
+    let chores = tell(c, Event::JobChanged(Box::new(record)));
+    drop(turn);
+    if done && parts.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
+        tidy(c, id, &parts.outputs);
+    }
+    chores
+}
+
+/// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
+/// the job waits until somebody sends them.
+fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> Vec<Chore> {
+    if let Some(chores) = compute_again(c, id, &parts.outputs, e) {
+        return chores;
+    }
+    let spec = &parts.work.spec;
+    let mut chores = Vec::new();
+    let receivers = spec
+        .ambient
+        .as_ref()
+        .map(|ambient| Lacks::Receivers(ambient.receivers));
+    for lacks in [Some(Lacks::Scene(spec.scene)), receivers]
+        .into_iter()
+        .flatten()
+    {
+        if !c
+            .blobs
+            .open_checked(&lacks.digest())
+            .is_err_and(|e| e.is_lost())
+        {
+            continue;
+        }
+        // Workers that have it do not ask for it, so this may be the first to find it lost.
+        match suspend::lost(c, lacks, &e.to_string()) {
+            Ok((waiting, more)) => {
+                chores.extend(more);
+                if waiting.contains(&id) {
+                    // Assembled once it goes on, which it may do already.
+                    chores.extend(tell(c, Event::AssemblyDropped(id)));
+                    return chores;
+                }
+            }
+            Err(e) => tracing::error!("job {id} cannot be paused yet: {e}"),
+        }
+    }
+    // It is there again, or the job could not be paused, or the disk cannot read it every time.
+    tracing::error!("the result of job {id} waits and is tried again: {e}");
+    chores.extend(tell(c, Event::AssemblyWaits(id)));
+    chores
+}
+
+/// Opens the tiles again whose stored outputs are lost; `None` when none are.
+fn compute_again(
+    c: &Coordinator,
+    id: JobId,
+    outputs: &[Output],
+    e: &AssembleError,
+) -> Option<Vec<Chore>> {
+    let lost = |output: &Output| {
+        let digest = output.digest()?;
+        c.blobs
+            .open_checked(&digest)
+            .is_err_and(|e| e.is_lost())
+            .then_some(digest)
+    };
+    let lost: Vec<(TileIndex, Digest)> = (0u32..)
+        .zip(outputs)
+        .filter_map(|(at, output)| Some((TileIndex(at), lost(output)?)))
+        .collect();
+    if lost.is_empty() {
+        return None;
+    }
+    tracing::error!("{e}; {} tiles of job {id} are computed again", lost.len());
+    let _turn = c.turn();
+    {
+        // Before somebody puts a good one in its place.
+        let _alone = c.no_commits();
+        for (_, digest) in &lost {
+            let is_broken = c.blobs.open_checked(digest).is_err_and(|e| e.is_broken());
+            if let Err(e) = if is_broken {
+                c.blobs.remove(digest)
+            } else {
+                Ok(false)
+            } {
+                tracing::warn!("{e}");
+            }
+        }
+    }
+    let mut chores = Vec::new();
+    let tiles = lost.iter().map(|(tile, _)| *tile).collect();
+    // Their dependents were computed from what was there.
+    let opened = invalidate::open(c, id, tiles, &mut chores);
+    match opened {
+        Ok(_) => Some(chores),
+        Err(StoreError::UnknownJob { .. }) => Some(tell(c, Event::AssemblyDropped(id))),
+        Err(e) => {
+            tracing::error!("job {id} cannot be continued yet: {e}");
+            Some(tell(c, Event::AssemblyWaits(id)))
+        }
+    }
+}
+
+/// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
+/// that has not ended or that can be retried.
+fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
+    // No output is committed meanwhile, so none that is committed is removed.
+    let _alone = c.no_commits();
+    let mut free: BTreeSet<Digest> = outputs.iter().filter_map(Output::digest).collect();
+    let ids = c.lock().machine.job_ids();
+    for id in ids {
+        // Job by job, so that heartbeats get the lock in between.
+        if let Some(job) = c.lock().machine.job(id) {
+            job.tiles
+                .iter()
+                .filter_map(|t| t.output.digest())
+                .for_each(|d| {
+                    free.remove(&d);
+                });
+        }
+    }
+    let ended = c.store.jobs().and_then(|jobs| {
+        let retriable = |j: &JobRecord| {
+            // Of those that are done, only ones with tiles set aside.
+            j.id != finished && j.state.phase().ended()
+        };
+        for job in jobs.iter().filter(|j| retriable(j)) {
+            let tiles = c.store.tiles(job.id)?;
+            let is_whole = tiles
+                .iter()
+                .all(|tile| matches!(tile.state, TileState::Done { .. }));
+            if job.state.phase() == JobPhase::Done && is_whole {
+                continue;
+            }
+            for tile in tiles {
+                if let TileState::Done { digest, .. } | TileState::SetAside { digest, .. } =
+                    tile.state
+                {
+                    free.remove(&digest);
+                }
+            }
+        }
+        Ok(())
+    });
+    // Who leads no more does not know what others need.
+    if let Err(e) = ended.and_then(|()| c.store.may_change()) {
+        tracing::warn!("the tile outputs of job {finished} are kept: {e}");
+        return;
+    }
+    for digest in outputs
+        .iter()
+        .filter_map(Output::digest)
+        .filter(|d| free.contains(d))
+    {
+        if let Err(e) = c.blobs.remove(&digest) {
+            tracing::warn!("{e}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! The table of the metrics in the manual is the one that is served.
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::scheduler::{Counts, Member};
+use crate::store::Carried;
+
+const MANUAL: &str = include_str!("../../../../docs/operations.md");
+
+fn moment() -> Moment {
+    Moment {
+        ready: true,
+        jobs: Vec::new(),
+        members: Vec::new(),
+        quarantined: 0,
+        data_dir: None,
+        carried: Some(Carried::default()),
+    }
+}
+
+/// The names that are served, as samples have them, with their types.
+fn served() -> BTreeMap<String, String> {
+    let metrics = Metrics::default();
+    // What has labels is served once there is a value of it.
+    metrics.committed("cpu/x", 1, 1);
+    metrics.phase_done("cpu/x", Duration::from_millis(1));
+    metrics.job_ended("done");
+    metrics.transferred("in").inc();
+    metrics.looked("scene", Cache::Hit);
+    metrics.spot_check("same");
+    metrics.request("Jobs/List", "OK", Duration::ZERO);
+    metrics.refused("jobs");
+    metrics.addressed("read");
+    metrics.went_directly("read", 1);
+    metrics.fell_back("read");
+    let directory = tempfile::tempdir().unwrap();
+    let member = Member {
+        name: "ada".to_owned(),
+        version: String::new(),
+        profiles: vec!["cpu/x".to_owned()],
+        connected_at: 0,
+        heard_at: 0,
+        draining: false,
+        trouble: None,
+        tiles: Vec::new(),
+        helps: None,
+        done: Default::default(),
+    };
+    let job = Counts {
+        state: "running",
+        profile: "cpu/x".to_owned(),
+        ready: 1,
+        leased: 1,
+        waiting: 1,
+    };
+    let (jobs, members) = (vec![job], vec![member]);
+    let text = metrics.text(Moment {
+        jobs,
+        members,
+        data_dir: Some(directory.path().to_owned()),
+        ..moment()
+    });
+    let text = text.unwrap();
+    let of = |line: &str| {
+        let (name, kind) = line.strip_prefix("# TYPE ")?.split_once(' ')?;
+        let name = if kind == "counter" {
+            format!("{name}_total")
+        } else {
+            name.to_owned()
+        };
+        Some((
+            name,
+            if kind == "info" {
+                "gauge".to_owned()
+            } else {
+                kind.to_owned()
+            },
+        ))
+    };
+    text.lines()
+        .filter_map(of)
+        .map(|(name, kind)| match name.as_str() {
+            "sightline_build" => ("sightline_build_info".to_owned(), kind),
+            _ => (name, kind),
+        })
+        .collect()
+}
+
+#[test]
+fn the_manual_lists_every_metric_and_no_other() {
+    let row = |line: &str| {
+        let mut cells = line.strip_prefix("| `sightline_")?.split('|');
+        let name = cells
+            .next()?
+            .trim()
+            .trim_end_matches('`')
+            .split(['{', '`'])
+            .next()?
+            .to_owned();
+        Some((format!("sightline_{name}"), cells.next()?.trim().to_owned()))
+    };
+    let manual: BTreeMap<String, String> = MANUAL.lines().filter_map(row).collect();
+    assert_eq!(manual, served());
+}
+
+#[test]
+fn what_is_counted_is_served() {
+    let metrics = Metrics::default();
+    metrics.committed("cpu/x", 17, 2500);
+    metrics.request("Jobs/Submit", "OK", Duration::from_millis(20));
+    metrics.phase_done("cpu/x", Duration::from_millis(250));
+    // A worker of before says no time.
+    metrics.phase_done("cpu/x", Duration::ZERO);
+    metrics.refused("rate");
+    metrics.looked("scene", Cache::Miss);
+    metrics.syncs()(Duration::from_millis(2));
+    let text = metrics.text(moment()).unwrap();
+    for line in [
+        "sightline_samples_total{profile=\"cpu/x\"} 17",
+        "sightline_tile_seconds_sum{profile=\"cpu/x\"} 2.5",
+        "sightline_phases_total 2",
+        "sightline_phase_seconds_sum{profile=\"cpu/x\"} 0.25",
+        "sightline_phase_seconds_count{profile=\"cpu/x\"} 1",
+        "sightline_requests_total{method=\"Jobs/Submit\",code=\"OK\"} 1",
+        "sightline_refused_total{limit=\"rate\"} 1",
+        "sightline_cache_requests_total{cache=\"scene\",outcome=\"miss\"} 1",
+        "sightline_sync_seconds_count 1",
+        "sightline_ready 1",
+        "sightline_jobs{state=\"running\"} 0",
+    ] {
+        assert!(text.contains(line), "{line} in {text}");
+    }
+}

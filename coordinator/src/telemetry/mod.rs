@@ -1,0 +1,6 @@
+//! What the coordinator reports: metrics, events, spans and its readiness.
+
+pub(crate) mod events;
+pub(crate) mod metrics;
+pub(crate) mod readiness;
+pub(crate) mod spans;

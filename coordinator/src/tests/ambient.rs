@@ -1,0 +1,394 @@
+//! Jobs of ambient occlusion on a coordinator in memory: whose receivers are, what is refused, tiles that are
+//! given up, and what is kept.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use sightline_model::openness::Openness;
+use sightline_model::receivers::{Asked, Falloff, Receiver, Receivers};
+use sightline_model::{Ambient, JobSpec, NO_PROFILE};
+use tokio::sync::mpsc;
+
+use crate::access::{Caller, Scope, Scopes};
+use crate::blobs::references;
+use crate::dispatch::run::do_chores;
+use crate::ids::Digest;
+use crate::jobs::control;
+use crate::jobs::delete;
+use crate::jobs::resume;
+use crate::jobs::submit::{Submission, SubmitError, submit};
+use crate::lifecycle;
+use crate::outputs::commit::ResultError;
+use crate::quota::{Quotas, Usage, usage};
+use crate::results::partial;
+use crate::results::queries::{self, AskError};
+use crate::scheduler::{Failure, Introduction, Order, Progress};
+use crate::state::{Coordinator, Lacks};
+use crate::store::JobState;
+use crate::tests::life::{coordinator, granted, nameless, put, two_tiles};
+use crate::uploads::complete::UploadError;
+use crate::uploads::receivers::{self, Fault};
+use crate::uploads::scenes;
+use crate::users::quota_check::HavingError;
+use crate::workers::sessions::{self, Message};
+
+/// Receivers in blocks of these lengths, on the only triangle.
+fn of_blocks(blocks: &[u32]) -> Vec<u8> {
+    let all: u32 = blocks.iter().sum();
+    let receiver = |i: u32| Receiver {
+        point: [f64::from(i), 0.0, 0.0],
+        normal: [0.0, 0.0, 1.0],
+        triangle: Some(0),
+    };
+    let asked = Asked {
+        distance: 2.0,
+        falloff: Falloff::None,
+        lights: Vec::new(),
+    };
+    let receivers = (0..all).map(receiver).collect();
+    Receivers {
+        asked,
+        blocks: blocks.to_vec(),
+        receivers,
+    }
+    .encode()
+    .unwrap()
+}
+
+/// Uploads bytes as receivers of an owner, in chunks of some bytes.
+fn send(c: &Coordinator, owner: &str, bytes: &[u8]) -> Result<Digest, UploadError> {
+    let whole = *blake3::hash(bytes).as_bytes();
+    let chunks: Vec<Digest> = bytes
+        .chunks(100_000)
+        .map(|part| scenes::put_chunk(c, owner, part).unwrap())
+        .collect();
+    receivers::put(c, owner, whole, &chunks).map(|_| whole)
+}
+
+fn user(name: &str) -> Caller {
+    Caller::User {
+        name: name.to_owned(),
+        scopes: Scopes::of(&[Scope::Submit]),
+    }
+}
+
+fn of(c: &Coordinator, scene: Digest, digest: Digest, owner: &str) -> Submission {
+    let stored = receivers::stored(c, digest).unwrap();
+    let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
+    let spec = JobSpec::of_receivers(
+        scene,
+        Ambient {
+            receivers: digest,
+            bytes,
+            points,
+            lights,
+        },
+    );
+    Submission {
+        owner: owner.to_owned(),
+        ..nameless(spec)
+    }
+}
+
+fn worker() -> Introduction {
+    Introduction {
+        name: "a".to_owned(),
+        signature: "a".to_owned(),
+        version: String::new(),
+        instance: 0,
+        profiles: vec![NO_PROFILE.to_owned()],
+        held: Vec::new(),
+        helps: false,
+    }
+}
+
+#[test]
+fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
+    let (c, clock, scene) = coordinator();
+    // The second tile begins with receiver 4100.
+    let digest = send(&c, "", &of_blocks(&[4090, 10, 5])).unwrap();
+    let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    let summary = control::summary(&c, id).unwrap();
+    assert_eq!((summary.tiles_total, summary.cells_total), (2, 4105));
+    let (out, mut orders) = mpsc::channel(64);
+    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
+    do_chores(&c, chores);
+    do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
+    let grants = [granted(&mut orders), granted(&mut orders)];
+    assert_eq!(grants[0].spec.ambient.unwrap().receivers, digest);
+    let tile = |points: usize, value| Openness {
+        numbers: 1,
+        values: vec![value; points],
+        bound: 1e-9,
+    };
+    let refused =
+        |openness: Openness| put(&c, &grants[0], &openness.encode().unwrap()).unwrap_err();
+    assert!(matches!(refused(tile(4096, 0.5)), ResultError::Encoding(_)));
+    assert!(matches!(refused(tile(4100, 1.5)), ResultError::Encoding(_)));
+    assert!(matches!(
+        refused(Openness {
+            numbers: 2,
+            ..tile(4100, 0.5)
+        }),
+        ResultError::Encoding(_)
+    ));
+    assert!(matches!(
+        partial::so_far(&c, id, &|| false),
+        Err(partial::PartialError::Nothing(_))
+    ));
+    put(&c, &grants[0], &tile(4100, 0.5).encode().unwrap()).unwrap();
+    let so_far = Openness::of_result(&partial::so_far(&c, id, &|| false).unwrap()).unwrap();
+    assert_eq!(
+        (so_far.points(), so_far.missing(), so_far.values[4099]),
+        (4105, 5, 0.5)
+    );
+    // The other one fails five times.
+    let mut grant = grants[1].clone();
+    for attempt in 0.. {
+        assert!(attempt < 10, "{:?}", control::summary(&c, id).unwrap());
+        let failure = Failure {
+            lease: grant.lease,
+            reason: "test".to_owned(),
+            infrastructure: false,
+        };
+        do_chores(
+            &c,
+            sessions::heard(&c, joined.worker, Message::Failed(failure)),
+        );
+        do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+        clock.advance(Duration::from_secs(1));
+        do_chores(&c, lifecycle::tick(&c));
+        match orders.try_recv() {
+            Ok(Order::Grant(next)) => grant = *next,
+            _ => break,
+        }
+    }
+    let mut tries = 0;
+    while !control::summary(&c, id).unwrap().ended() {
+        tries += 1;
+        assert!(tries < 1000, "{:?}", control::summary(&c, id).unwrap());
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let summary = control::summary(&c, id).unwrap();
+    assert_eq!(
+        (
+            summary.tiles_done,
+            summary.tiles_set_aside,
+            summary.cells_done
+        ),
+        (1, 1, 4100)
+    );
+    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    assert_eq!(Openness::of_result(&result).unwrap().missing(), 5);
+    let why = queries::query(
+        &c,
+        &sightline_proto::v1::QueryRequest {
+            job: id.0,
+            ..Default::default()
+        },
+    );
+    assert!(
+        matches!(&why, Err(AskError::Unable(text)) if text.contains("ambient")),
+        "{why:?}"
+    );
+}
+
+#[test]
+fn receivers_that_are_lost_before_the_end_are_waited_for() {
+    let (c, _, scene) = coordinator();
+    let bytes = of_blocks(&[3]);
+    let digest = send(&c, "", &bytes).unwrap();
+    let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    let (out, mut orders) = mpsc::channel(8);
+    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
+    do_chores(&c, chores);
+    do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+    let grant = granted(&mut orders);
+    let progress = Progress {
+        lease: grant.lease,
+        cells: 1,
+        samples: 0,
+    };
+    do_chores(
+        &c,
+        sessions::heard(&c, joined.worker, Message::Progress(progress)),
+    );
+    // The output comes while nothing is assembled; then the coordinator is as after a restart.
+    control::pause(&c, id, false).unwrap();
+    let tile = Openness {
+        numbers: 1,
+        values: vec![0.5; 3],
+        bound: 1e-9,
+    };
+    put(&c, &grant, &tile.encode().unwrap()).unwrap();
+    *c.last_receivers.lock().unwrap() = None;
+    assert!(c.blobs.remove(&digest).unwrap());
+    control::resume(&c, id).unwrap();
+    let until = |is: &dyn Fn() -> bool| {
+        for _ in 0..1000 {
+            if is() {
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        panic!("{:?}", control::summary(&c, id).unwrap());
+    };
+    until(&|| control::summary(&c, id).unwrap().lacks == Some(Lacks::Receivers(digest)));
+    until(&|| control::summary(&c, id).unwrap().record.state == JobState::Paused);
+    send(&c, "", &bytes).unwrap();
+    resume::back(&c, Lacks::Receivers(digest));
+    until(&|| control::result(&c, id).is_ok());
+    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    assert_eq!(Openness::of_result(&result).unwrap().values, [0.5; 3]);
+}
+
+#[test]
+fn receivers_are_their_senders_and_count_as_what_a_user_has() {
+    let (c, _, scene) = coordinator();
+    let bytes = of_blocks(&[4096, 4096]);
+    assert!(bytes.len() > 200_000);
+    let digest = send(&c, "ada", &bytes).unwrap();
+    assert_eq!(c.uploads.bytes("ada"), bytes.len() as u64);
+    assert_eq!(
+        receivers::known(&c, &user("ada"), digest)
+            .unwrap()
+            .facts
+            .points,
+        8192
+    );
+    assert!(matches!(
+        receivers::known(&c, &user("bob"), digest),
+        Err(Fault::Unknown(_))
+    ));
+    // The digest alone opens nothing, nor do chunks that somebody else has sent.
+    let chunk = *blake3::hash(&bytes[..100_000]).as_bytes();
+    for chunks in [&[][..], &[chunk], &[digest]] {
+        let refused = receivers::put(&c, "bob", digest, chunks).unwrap_err();
+        let is_refused = matches!(
+            refused,
+            UploadError::ChunkMissing | UploadError::Mismatch(_)
+        );
+        assert!(is_refused, "{chunks:?}: {refused}");
+        assert!(matches!(
+            receivers::known(&c, &user("bob"), digest),
+            Err(Fault::Unknown(_))
+        ));
+    }
+    // From the submission on the job counts them, and makes them their owner's.
+    let id = submit(&c, &of(&c, scene, digest, "ada")).unwrap().id;
+    assert_eq!(c.uploads.bytes("ada"), 0);
+    let has = usage(&*c.store, "ada").unwrap();
+    assert_eq!(
+        has,
+        Usage {
+            bytes: bytes.len() as u64,
+            scenes: 0,
+            jobs: 1,
+            tiles: 2
+        }
+    );
+    assert!(receivers::known(&c, &user("ada"), digest).is_ok());
+    // Sent again with the digest alone, they are found.
+    assert!(receivers::put(&c, "ada", digest, &[]).is_ok());
+    assert!(matches!(
+        receivers::known(&c, &user("bob"), digest),
+        Err(Fault::Unknown(_))
+    ));
+    // They are kept as long as a job names them.
+    let alone = |remove: &mut dyn FnMut()| remove();
+    references::sweep(&*c.store, &*c.blobs, &|_, _| true, &alone).unwrap();
+    assert!(c.blobs.has(&digest).unwrap());
+    let lost = |c: &Coordinator| {
+        references::verify(&*c.store, &*c.blobs, &|_| ())
+            .unwrap()
+            .lost
+            .len()
+    };
+    assert_eq!(lost(&c), 0);
+    let other = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
+    for (job, stays) in [(id, true), (other, false)] {
+        control::cancel(&c, job).unwrap();
+        delete::delete(&c, job).unwrap();
+        assert_eq!(c.blobs.has(&digest).unwrap(), stays);
+    }
+}
+
+#[test]
+fn what_is_no_job_of_receivers_is_refused() {
+    let (c, _, scene) = coordinator();
+    // No receivers, and nothing of them is kept.
+    for bytes in [&b"halls"[..], &vec![7; 300_000]] {
+        let refused = send(&c, "", bytes).unwrap_err();
+        assert!(matches!(refused, UploadError::Receivers(_)), "{refused}");
+        assert!(!c.blobs.has(blake3::hash(bytes).as_bytes()).unwrap());
+    }
+    // What was there before stays.
+    let refused = receivers::put(&c, "", scene, &[]).unwrap_err();
+    assert!(
+        matches!(refused, UploadError::Receivers(_)) && c.blobs.has(&scene).unwrap(),
+        "{refused}"
+    );
+    let chunk = scenes::put_chunk(&c, "", &[7; 1 << 20]).unwrap();
+    let refused = receivers::put(&c, "", [9; 32], &vec![chunk; 65_536]).unwrap_err();
+    assert!(
+        matches!(refused, UploadError::TooLong { bytes, .. } if bytes == 64 << 30),
+        "{refused}"
+    );
+    // A triangle that the scene does not have.
+    let asked = Asked {
+        distance: f64::INFINITY,
+        falloff: Falloff::None,
+        lights: Vec::new(),
+    };
+    let receiver = Receiver {
+        point: [0.0; 3],
+        normal: [0.0, 1.0, 0.0],
+        triangle: Some(1),
+    };
+    let bytes = Receivers {
+        asked,
+        blocks: vec![1],
+        receivers: vec![receiver],
+    }
+    .encode()
+    .unwrap();
+    let digest = send(&c, "", &bytes).unwrap();
+    let refused = submit(&c, &of(&c, scene, digest, "")).unwrap_err();
+    assert!(
+        matches!(&refused, SubmitError::Spec(text) if text.contains("triangle 1")),
+        "{refused}"
+    );
+    // Receivers that are gone.
+    let digest = send(&c, "", &of_blocks(&[3])).unwrap();
+    let submission = of(&c, scene, digest, "");
+    c.blobs.remove(&digest).unwrap();
+    let refused = submit(&c, &submission).unwrap_err();
+    assert!(
+        matches!(refused, SubmitError::Receivers(Fault::Unknown(_))),
+        "{refused}"
+    );
+    // Too much for a user.
+    let mut c = c;
+    let c = loop {
+        match Arc::try_unwrap(c) {
+            Ok(mut alone) => {
+                alone.quotas = Quotas::parse(&["bytes=300".to_owned()]).unwrap();
+                break Arc::new(alone);
+            }
+            Err(shared) => c = shared,
+        }
+    };
+    assert!(send(&c, "ada", &of_blocks(&[3])).is_ok());
+    let refused = scenes::put_chunk(&c, "ada", &of_blocks(&[2])).unwrap_err();
+    assert!(
+        matches!(refused, UploadError::Having(HavingError::Beyond(_))),
+        "{refused}"
+    );
+    // Other jobs go on as before.
+    assert_eq!(
+        control::summary(&c, two_tiles(&c, scene))
+            .unwrap()
+            .tiles_total,
+        2
+    );
+}

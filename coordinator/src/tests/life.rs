@@ -1,0 +1,370 @@
+//! A coordinator on a memory store and memory blobs: a job from its submission to its result, retries, lease
+//! expiry.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use glam::Vec3;
+use sightline_model::codec;
+use sightline_model::{BackendChoice, CellToCell, Hits, SamplingParams};
+use sightline_model::{CellSet, CellSets, TileOutput};
+use sightline_model::{JobSpec, Method};
+use sightline_pvs::Pvs;
+use sightline_scene::{Aabb, Object, Scene, Triangle};
+use sightline_viewcells::Division;
+use tokio::sync::mpsc;
+
+use crate::assemble::result::expected_nodes;
+use crate::clock::ManualClock;
+use crate::dispatch::outbox::Outbox;
+use crate::dispatch::run::do_chores;
+use crate::ids::{Digest, JobId, WorkerId};
+use crate::jobs::control::{self, JobError};
+use crate::jobs::submit::{Submission, SubmitError, submit};
+use crate::lifecycle;
+use crate::outputs::commit::{self, Announced, Origin, ResultError, Weight};
+use crate::scheduler::{Grant, Introduction, Order};
+use crate::state::{Coordinator, Leases};
+use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
+use crate::workers::sessions::{self, Message};
+
+impl Outbox for mpsc::Sender<Order> {
+    fn offer(&self, order: Order) -> bool {
+        self.try_send(order).is_ok()
+    }
+}
+
+/// A coordinator without a disk, its clock, and the digest of a scene of one triangle.
+pub(crate) fn coordinator() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
+    let clock = Arc::new(ManualClock::default());
+    let (store, blobs) = (Box::new(MemoryStore::new()), Box::new(MemoryBlobs::new()));
+    let c = Coordinator::new(
+        Leases::default(),
+        store,
+        blobs,
+        Box::new(Arc::clone(&clock)),
+    )
+    .unwrap();
+    let scene = c.take_scene(&triangle()).unwrap();
+    (c, clock, scene)
+}
+
+/// A scene of one triangle.
+pub(crate) fn triangle() -> Scene {
+    let triangle = Triangle {
+        v: [Vec3::ZERO, Vec3::X, Vec3::Y],
+    };
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count: 1,
+    }];
+    Scene::new("test", vec![triangle], objects).unwrap()
+}
+
+/// A triangle whose alpha mask is open everywhere.
+const MASKED: &str = r#"{"asset": {"version": "2.0"}, "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "material": 0}]}],
+        "materials": [{"alphaMode": "MASK", "pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 0.2]}}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 3}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36,
+            "uri": "data:;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAA"}]
+    }"#;
+
+#[test]
+fn a_scene_with_masks_is_refused_by_exact_methods() {
+    let (c, ..) = coordinator();
+    let options = sightline_scene::load::Options {
+        alpha_textures: true,
+        ..Default::default()
+    };
+    let loaded =
+        sightline_scene::load::load_bytes_with("mask.gltf", MASKED.as_bytes(), None, &options);
+    let scene = c.take_scene(&loaded.unwrap().scene).unwrap();
+    let job = |method: Method| {
+        let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
+        let spec = JobSpec {
+            method,
+            ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
+        };
+        let submission = Submission {
+            request_id: method.to_string(),
+            name: "masked".to_owned(),
+            ..nameless(spec)
+        };
+        submit(&c, &submission)
+    };
+    assert!(job(Method::Aggressive).is_ok());
+    for method in [Method::Exact, Method::Verified] {
+        let why = job(method).unwrap_err();
+        assert!(
+            matches!(&why, SubmitError::Spec(text) if text.contains("the method aggressive")),
+            "{why}"
+        );
+    }
+}
+
+/// Submits a job of two tiles of one cell each.
+pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
+    let spec = JobSpec {
+        scene,
+        division: Division::Grid([2, 1, 1]),
+        view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
+        sampling: SamplingParams {
+            cell_to_cell: CellToCell::Off,
+            ..SamplingParams::default()
+        },
+        backend: BackendChoice::Cpu,
+        seed: 1,
+        time_budget_ms: 0,
+        block_cells: 1,
+        method: Method::Aggressive,
+        certificates: false,
+        viewpoints: None,
+        ambient: None,
+        up: None,
+    };
+    let submission = Submission {
+        request_id: "one".to_owned(),
+        name: "two tiles".to_owned(),
+        ..nameless(spec)
+    };
+    submit(c, &submission).unwrap().id
+}
+
+/// Lets a worker join and want tiles.
+pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
+    let (out, orders) = mpsc::channel(8);
+    let profiles = vec!["cpu/test".to_owned()];
+    let (name, signature) = (name.to_owned(), name.to_owned());
+    let version = String::new();
+    let intro = Introduction {
+        name,
+        signature,
+        version,
+        instance: 0,
+        profiles,
+        held: Vec::new(),
+        helps: false,
+    };
+    let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
+    do_chores(c, chores);
+    let worker = joined.worker;
+    do_chores(c, sessions::heard(c, worker, Message::Want(2)));
+    (worker, orders)
+}
+
+pub(crate) fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
+    match orders.try_recv() {
+        Ok(Order::Grant(grant)) => *grant,
+        other => panic!("no grant: {other:?}"),
+    }
+}
+
+/// The encoded output of a granted tile in which every cell sees `visible`.
+pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
+    output_of(
+        grant,
+        &CellSet {
+            visible: visible.to_vec(),
+            ..CellSet::default()
+        },
+    )
+}
+
+/// The same with this cell in place of every cell.
+pub(crate) fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
+    let (lattice, plan) = grant.spec.plan().unwrap();
+    let tile = &plan.tiles[grant.lease.tile.at()];
+    let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
+    let cells = (0..tile.cells).map(|_| cell.clone());
+    codec::encode(&TileOutput::Cells(CellSets {
+        cells: cells.collect(),
+        nodes,
+        pairs: None,
+        portals: Vec::new(),
+    }))
+    .unwrap()
+}
+
+pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(), ResultError> {
+    let digest = *blake3::hash(bytes).as_bytes();
+    let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
+    commit::put(
+        c,
+        &Announced {
+            lease,
+            digest,
+            bytes: bytes_announced,
+            samples: 3,
+            millis: 4,
+        },
+        &Origin::Sent(bytes),
+        Weight::Any,
+    )
+}
+
+#[test]
+fn a_job_runs_in_memory_from_submission_to_result() {
+    let (c, clock, scene) = coordinator();
+    let id = two_tiles(&c, scene);
+    assert_eq!(
+        control::summary(&c, id).unwrap().record.state,
+        JobState::Queued
+    );
+    let (_, mut orders) = join(&c, "a");
+    let grants = [granted(&mut orders), granted(&mut orders)];
+    assert_eq!(control::summary(&c, id).unwrap().tiles_running, 2);
+    let empty = output(&grants[0], &[]);
+    assert!(matches!(
+        put(&c, &grants[0], &empty[1..]),
+        Err(ResultError::Encoding(_))
+    ));
+    // The job has viewpoints in all cells, and asks for no contributions.
+    let unreached = output_of(
+        &grants[0],
+        &CellSet {
+            unreached: true,
+            ..CellSet::default()
+        },
+    );
+    assert!(matches!(
+        put(&c, &grants[0], &unreached),
+        Err(ResultError::Viewpoints)
+    ));
+    let hits = Some(Hits {
+        viewpoints: 1,
+        lines: 1,
+        counts: Vec::new(),
+    });
+    let hits = output_of(
+        &grants[0],
+        &CellSet {
+            hits,
+            ..CellSet::default()
+        },
+    );
+    assert!(matches!(
+        put(&c, &grants[0], &hits),
+        Err(ResultError::Contributions)
+    ));
+    put(&c, &grants[0], &empty).unwrap();
+    put(&c, &grants[0], &empty).unwrap();
+    assert!(matches!(
+        put(&c, &grants[0], &output(&grants[0], &[0])),
+        Err(ResultError::Conflict)
+    ));
+    assert!(matches!(
+        control::result(&c, id),
+        Err(JobError::NoResult {
+            phase: JobPhase::Running,
+            ..
+        })
+    ));
+    clock.advance(Duration::from_secs(5));
+    put(&c, &grants[1], &output(&grants[1], &[0])).unwrap();
+    // The result is assembled on a thread of its own.
+    let mut tries = 0;
+    let done = loop {
+        let summary = control::summary(&c, id).unwrap();
+        if summary.ended() {
+            break summary;
+        }
+        tries += 1;
+        assert!(tries < 1000, "{summary:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert_eq!((done.tiles_done, done.samples, done.tile_millis), (2, 6, 8));
+    assert_eq!(
+        done.record.finished_at_ms,
+        Some(done.record.submitted_at_ms + 5000)
+    );
+    let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
+    let pvs = Pvs::from_bytes(result).unwrap();
+    let at = |x| {
+        let mut ids = Vec::new();
+        pvs.visible(pvs.find_cell([x, 0.5, 0.5]).unwrap(), &mut ids)
+            .unwrap();
+        ids
+    };
+    assert_eq!((at(0.25), at(0.75)), (vec![], vec![0]));
+    // The outputs of the tiles are in the result and were removed.
+    assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
+    // The same job again is answered with the result, and a lost result is baked again.
+    let spec = JobSpec::clone(&grants[0].spec);
+    let again = Submission {
+        request_id: "two".to_owned(),
+        ..nameless(spec)
+    };
+    let answer = submit(&c, &again).unwrap();
+    assert!(answer.existing && answer.id == id);
+    c.blobs.remove(&control::result(&c, id).unwrap()).unwrap();
+    let answer = submit(
+        &c,
+        &Submission {
+            request_id: "three".to_owned(),
+            ..again
+        },
+    )
+    .unwrap();
+    assert!(!answer.existing && answer.id != id);
+}
+
+#[test]
+fn a_lease_that_is_not_renewed_goes_to_another_worker() {
+    let (c, clock, scene) = coordinator();
+    two_tiles(&c, scene);
+    let (a, mut orders_a) = join(&c, "a");
+    let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
+    do_chores(&c, sessions::heard(&c, a, Message::Draining));
+    clock.advance(Duration::from_secs(11));
+    do_chores(&c, lifecycle::tick(&c));
+    assert_eq!(
+        leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))),
+        [true, true]
+    );
+    let (_, mut orders_b) = join(&c, "b");
+    assert_eq!(granted(&mut orders_b).lease.tile, leases[0].tile);
+}
+
+#[test]
+fn a_job_of_another_version_is_not_retried() {
+    let (c, _, scene) = coordinator();
+    let job = NewJob {
+        key: [1; 32],
+        request_id: String::new(),
+        name: "old".to_owned(),
+        owner: String::new(),
+        user: String::new(),
+        priority: 0,
+        scene,
+        spec: b"of another version".to_vec(),
+        tiles: 2,
+        submitted_at_ms: 0,
+    };
+    let id = c.store.submit_job(job).unwrap().id;
+    let failed = JobState::Failed {
+        reason: "as it was".to_owned(),
+    };
+    c.store
+        .set_job_state(id, &[JobPhase::Queued], failed.clone(), 1)
+        .unwrap();
+    let refused = control::retry(&c, id).unwrap_err();
+    assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
+    assert!(refused.to_string().contains("submit it again"), "{refused}");
+    assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
+}
+
+pub(crate) fn nameless(spec: JobSpec) -> Submission {
+    let (request_id, name, owner, user) = Default::default();
+    Submission {
+        request_id,
+        name,
+        owner,
+        user,
+        priority: 0,
+        spec,
+        cause: None,
+    }
+}

@@ -1,0 +1,9 @@
+//! Tests of several parts together, on a coordinator in memory.
+
+mod ambient;
+pub(crate) mod life;
+mod load;
+mod presigned;
+mod reopening;
+mod retention;
+mod trust;

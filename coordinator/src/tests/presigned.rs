@@ -1,0 +1,233 @@
+//! Outputs that workers write into a bucket by themselves: what is checked before one counts, and what is
+//! left of it, against a real server.
+
+use std::sync::Arc;
+
+use sightline_model::CellSet;
+use sightline_test_s3::{KEY, S3Server, SECRET};
+use sightline_tests::ask;
+use tempfile::TempDir;
+
+use crate::clock::ManualClock;
+use crate::ids::{Digest, Lease, TileIndex};
+use crate::outputs::commit::{self, Announced, Origin, ResultError, Weight};
+use crate::scheduler::Grant;
+use crate::state::{Coordinator, Leases};
+use crate::store::{Address, BlobPlace, MemoryStore, ObjectBlobs, Staged};
+use crate::tests::life::{granted, join, output, output_of, two_tiles};
+
+/// A coordinator on a bucket, and two tiles that a worker has.
+struct Farm {
+    c: Arc<Coordinator>,
+    grants: [Grant; 2],
+    server: S3Server,
+    _folder: TempDir,
+}
+
+impl Farm {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let server = S3Server::start(&folder.path().join("s3"), "farm");
+        let keys = folder.path().join("keys");
+        let text = format!("aws_access_key_id = {KEY}\naws_secret_access_key = {SECRET}\n");
+        std::fs::write(&keys, text).unwrap();
+        let place = format!(
+            "s3://farm/one?endpoint={}&keys={}&direct=yes",
+            server.endpoint(),
+            keys.display()
+        );
+        let BlobPlace::Bucket(place) = place.parse().unwrap() else {
+            panic!("{place}")
+        };
+        let blobs = ObjectBlobs::open(&place, &folder.path().join("copies")).unwrap();
+        let clock = Box::new(Arc::new(ManualClock::default()));
+        let store = Box::new(MemoryStore::new());
+        let c = Coordinator::new(Leases::default(), store, Box::new(blobs), clock).unwrap();
+        let scene = c.take_scene(&crate::tests::life::triangle()).unwrap();
+        two_tiles(&c, scene);
+        let (_, mut orders) = join(&c, "a");
+        let grants = [granted(&mut orders), granted(&mut orders)];
+        Self {
+            c,
+            grants,
+            server,
+            _folder: folder,
+        }
+    }
+
+    /// Objects beside the blobs.
+    fn staged(&self) -> usize {
+        self.server.objects("farm/one/staged", "").len()
+    }
+}
+
+fn staged(lease: Lease, bytes: &[u8]) -> Staged {
+    let sha256 = ring::digest::digest(&ring::digest::SHA256, bytes)
+        .as_ref()
+        .try_into()
+        .unwrap();
+    Staged {
+        lease,
+        sha256,
+        bytes: bytes.len() as u64,
+    }
+}
+
+/// Writes something; gives the status of the answer.
+fn put(address: &Address, bytes: &[u8]) -> u32 {
+    let (host, path) = address
+        .url
+        .strip_prefix("http://")
+        .unwrap()
+        .split_once('/')
+        .unwrap();
+    let headers: String = address
+        .headers
+        .iter()
+        .map(|(name, value)| format!("{name}: {value}\r\n"))
+        .collect();
+    ask(
+        &format!("http://{host}"),
+        &format!("PUT /{path}"),
+        &headers,
+        bytes,
+    )
+    .0
+}
+
+/// Writes what an address is for.
+fn write(address: &Address, bytes: &[u8]) {
+    assert_eq!(put(address, bytes), 200);
+}
+
+fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), ResultError> {
+    let announced = Announced {
+        lease: staged.lease,
+        digest,
+        bytes: staged.bytes,
+        samples: 1,
+        millis: 1,
+    };
+    commit::put(c, &announced, &Origin::Staged(staged), Weight::Any)
+}
+
+#[test]
+fn an_output_that_was_written_counts_when_it_was_checked() {
+    let farm = Farm::new();
+    let (c, bytes) = (&farm.c, output(&farm.grants[0], &[0]));
+    let (of, digest) = (
+        staged(farm.grants[0].lease, &bytes),
+        *blake3::hash(&bytes).as_bytes(),
+    );
+    // Nothing is there yet.
+    let none = commit(c, &of, digest).unwrap_err();
+    assert!(
+        matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"),
+        "{none}"
+    );
+    write(&commit::address(c, &of).unwrap().unwrap(), &bytes);
+    assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (1, false));
+    let written = c.blobs.carried().unwrap().written;
+    commit(c, &of, digest).unwrap();
+    assert_eq!(
+        c.blobs.carried().unwrap().written,
+        written,
+        "the bucket copies it"
+    );
+    assert_eq!(c.blobs.read(&digest).unwrap(), bytes);
+    assert_eq!(farm.staged(), 0);
+    // The same again, after the answer was lost: the worker sends it.
+    assert!(matches!(
+        commit(c, &of, digest),
+        Err(ResultError::Unstaged(_))
+    ));
+}
+
+#[test]
+fn what_is_not_the_tiles_output_is_refused_and_removed() {
+    let farm = Farm::new();
+    let (c, lease) = (&farm.c, farm.grants[0].lease);
+    let unreached = output_of(
+        &farm.grants[0],
+        &CellSet {
+            unreached: true,
+            ..CellSet::default()
+        },
+    );
+    let of = staged(lease, &unreached);
+    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
+    // Under another digest, and as what it is.
+    assert!(matches!(commit(c, &of, [7; 32]), Err(ResultError::Digest)));
+    assert_eq!(farm.staged(), 0);
+    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
+    let digest = *blake3::hash(&unreached).as_bytes();
+    assert!(matches!(
+        commit(c, &of, digest),
+        Err(ResultError::Viewpoints)
+    ));
+    assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
+    // Other bytes than were signed, which this store refuses and keeps all the same.
+    let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
+    assert_eq!(
+        put(&commit::address(c, &of).unwrap().unwrap(), &others),
+        400
+    );
+    assert_eq!(farm.staged(), 1);
+    assert!(matches!(commit(c, &of, digest), Err(ResultError::Digest)));
+    assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
+    // Longer than announced: it is read no further than that.
+    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
+    let shorter = Staged { bytes: 3, ..of };
+    assert!(matches!(
+        commit(c, &shorter, digest),
+        Err(ResultError::Unstaged(_))
+    ));
+}
+
+#[test]
+fn only_who_holds_a_tile_may_write_and_one_output_alone() {
+    let farm = Farm::new();
+    let (c, lease) = (&farm.c, farm.grants[0].lease);
+    let of = staged(lease, b"an output");
+    assert!(commit::address(c, &of).unwrap().is_some());
+    assert!(
+        commit::address(c, &of).unwrap().is_some(),
+        "the answer may have been lost"
+    );
+    assert!(
+        commit::address(c, &staged(lease, b"another"))
+            .unwrap()
+            .is_none()
+    );
+    let mut of_nobody = lease;
+    of_nobody.id.number += 100;
+    assert!(
+        commit::address(c, &staged(of_nobody, b"an output"))
+            .unwrap()
+            .is_none()
+    );
+    let elsewhere = Lease {
+        tile: TileIndex(77),
+        ..lease
+    };
+    assert!(
+        commit::address(c, &staged(elsewhere, b"an output"))
+            .unwrap()
+            .is_none()
+    );
+    assert!(
+        commit::address(
+            c,
+            &Staged {
+                bytes: u64::MAX,
+                ..of
+            }
+        )
+        .unwrap()
+        .is_none()
+    );
+    // Nor is anything read for them.
+    let read = c.blobs.carried().unwrap().read;
+    assert!(commit(c, &staged(of_nobody, b"an output"), [1; 32]).is_err());
+    assert_eq!(c.blobs.carried().unwrap().read, read);
+}

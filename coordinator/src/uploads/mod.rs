@@ -1,0 +1,8 @@
+//! What clients and workers send: chunks, scenes, receivers, and outputs on their way to the disk.
+
+pub(crate) mod chunks;
+pub(crate) mod complete;
+pub(crate) mod receivers;
+pub(crate) mod scene_files;
+pub(crate) mod scenes;
+pub(crate) mod spool;

@@ -1,0 +1,3 @@
+//! Users: what each of them may store.
+
+pub(crate) mod quota_check;

@@ -1,0 +1,35 @@
+//! A quarantined worker works again.
+
+use std::sync::Arc;
+
+use crate::dispatch::run::happened;
+use crate::ids::worker_name;
+use crate::scheduler::Event;
+use crate::state::Coordinator;
+use crate::store::StoreError;
+use crate::telemetry::events::{Happening, Kind};
+
+/// Lets quarantined workers work again: the one with this signature, or all with this name. Returns whether
+/// any was quarantined.
+///
+/// # Errors
+/// The store's.
+pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreError> {
+    let is_meant = |signature: &str| signature == worker || worker_name(signature) == worker;
+    let quarantined = c
+        .store
+        .quarantined()?
+        .into_iter()
+        .map(|record| record.worker);
+    let mut any = false;
+    for signature in quarantined.filter(|signature| is_meant(signature)) {
+        if c.store.release(&signature)? {
+            let text = format!("worker {signature} may work again");
+            tracing::warn!("{text}");
+            c.happened(Happening::of(Kind::Worker, text).on(&signature));
+            happened(c, Event::Released(signature));
+            any = true;
+        }
+    }
+    Ok(any)
+}

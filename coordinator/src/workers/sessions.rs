@@ -1,0 +1,123 @@
+//! Worker sessions: joining, the messages of a connected worker, leaving.
+//!
+//! Messages are handled where they arrive: the scheduler's lock is short, and what blocks is left to the
+//! caller as chores.
+
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+
+use crate::dispatch::outbox::Outbox;
+use crate::dispatch::{self, Chore, tell};
+use crate::ids::{JobId, Lease, WorkerId};
+use crate::scheduler::{
+    Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
+};
+use crate::state::Coordinator;
+use crate::telemetry::events::{Happening, Kind};
+use crate::workers::crews::{Room, Told};
+
+/// A message of a connected worker.
+pub(crate) enum Message {
+    /// It wants this many more tiles.
+    Want(u32),
+    /// It finishes the tiles that it holds and takes no more.
+    Draining,
+    /// A tile makes progress.
+    Progress(Progress),
+    /// A tile failed.
+    Failed(Failure),
+    /// It helps the holder of this lease no more.
+    Helped(Lease),
+    /// It timed its backends for a job.
+    Timed(JobId, Vec<ProfileTime>),
+}
+
+/// Adds a worker.
+///
+/// # Errors
+/// [`NameTaken`] when another worker of its name is connected.
+pub(crate) fn join(
+    c: &Coordinator,
+    intro: Introduction,
+    out: Box<dyn Outbox>,
+) -> Result<(Joined, Vec<Chore>), NameTaken> {
+    let joining = format!(
+        "worker {} has joined, with {}",
+        intro.name,
+        intro.profiles.join(", ")
+    );
+    let name = intro.name.clone();
+    let (joined, chores) = dispatch::join(c, intro, out);
+    let joined = joined?;
+    c.spans.held_again(&name, &joined.kept);
+    tracing::info!("{joining}");
+    c.happened(Happening::of(Kind::Worker, joining).on(name));
+    Ok((joined, chores))
+}
+
+/// Removes a worker whose stream has ended.
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore> {
+    let (departure, chores) = dispatch::leave(c, worker);
+    let text = match departure {
+        Departure::Drained => format!("worker {name} has drained and left"),
+        Departure::Lost => format!("worker {name} has gone"),
+    };
+    tracing::info!("{text}");
+    c.happened(Happening::of(Kind::Worker, text).on(name));
+    chores
+}
+
+/// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid or that of a
+/// check, or the tile has a crew under another lease that is.
+pub(crate) fn lead(
+    c: &Coordinator,
+    lease: Lease,
+) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
+    // Reads a file, before anybody has to wait.
+    let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
+    // The machine hears of crews in the order in which they open and close.
+    let _turn = c.crews.turn();
+    {
+        let scheduling = c.lock();
+        let is_leased = |lease: &Lease| scheduling.machine.is_leased(lease);
+        // Where two workers compute a tile, the first has the helpers.
+        // A check goes on from nothing that anybody has kept, and keeps nothing: what a wrong worker has left
+        // would make the next one agree with it.
+        let is_check = scheduling.machine.is_check(&lease);
+        if !is_leased(&lease) || is_check || c.crews.is_led_by_another(&lease, is_leased) {
+            return None;
+        }
+    }
+    let (room, told) = c.crews.open(lease, outcomes);
+    Some((room, told, tell(c, Event::CrewOpened(lease))))
+}
+
+/// A crew has ended: its leader has no use for helpers any more.
+#[must_use]
+pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
+    let _turn = c.crews.turn();
+    // The same leader may have opened another crew meanwhile.
+    if c.crews.close(room) {
+        tell(c, Event::CrewClosed(room.lease))
+    } else {
+        Vec::new()
+    }
+}
+
+/// Acts on a message of a worker.
+#[must_use]
+pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<Chore> {
+    tell(
+        c,
+        match message {
+            Message::Want(tiles) => Event::Wanted(worker, tiles),
+            Message::Draining => Event::Drains(worker),
+            // A stale lease was revoked when it became stale, so the worker has been told.
+            Message::Progress(progress) => Event::Progressed(progress),
+            Message::Failed(failure) => Event::Failed(worker, failure),
+            Message::Helped(lease) => Event::Helped(worker, lease),
+            Message::Timed(job, times) => Event::Timed(worker, job, times),
+        },
+    )
+}
