@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde_json::Value;
-use sightline_coordinator::Answers;
+use sightline_coordinator::SceneQueries;
 use sightline_model::BackendChoice;
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
@@ -21,7 +21,7 @@ const RESULT: &str = "the stored result";
 /// Answers with the program's own commands.
 pub struct Commands;
 
-impl Answers for Commands {
+impl SceneQueries for Commands {
     fn why(
         &self,
         pvs: &Pvs,

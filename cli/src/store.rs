@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 use sightline_coordinator::Config;
 use sightline_coordinator::blobs::ownership::{self, Ownership};
-use sightline_coordinator::blobs::references::{self, KeepingError, Need, Verified};
+use sightline_coordinator::blobs::references::{self, KeepingError, Reference, Verified};
 use sightline_coordinator::store::{
     BlobError, Damage, Entry, JournalError, Repaired, SledStore, Store, StoreError,
 };
@@ -207,18 +207,18 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, CliError> {
     })
 }
 
-fn must_be_sent(needs: &[Need]) -> bool {
+fn must_be_sent(needs: &[Reference]) -> bool {
     needs
         .iter()
-        .any(|need| matches!(need, Need::Scene | Need::Spec(_)))
+        .any(|need| matches!(need, Reference::Scene | Reference::Spec(_)))
 }
 
-fn need_text(need: &Need) -> String {
+fn need_text(need: &Reference) -> String {
     match need {
-        Need::Scene => "a scene".to_owned(),
-        Need::Result(job) => format!("the result of job {job}"),
-        Need::Spec(job) => format!("a part of the specification of job {job}"),
-        Need::Output(job, tile) => format!("the output of tile {tile} of job {job}"),
+        Reference::Scene => "a scene".to_owned(),
+        Reference::Result(job) => format!("the result of job {job}"),
+        Reference::Spec(job) => format!("a part of the specification of job {job}"),
+        Reference::Output(job, tile) => format!("the output of tile {tile} of job {job}"),
     }
 }
 
@@ -231,7 +231,7 @@ fn report(outcome: &Outcome) -> Value {
         repaired,
         ownership,
     } = outcome;
-    let lost = |(_, (needs, why)): (_, &(Vec<Need>, String))| {
+    let lost = |(_, (needs, why)): (_, &(Vec<Reference>, String))| {
         let needed: Vec<String> = needs.iter().map(need_text).collect();
         json!({"why": why, "needed": needed})
     };

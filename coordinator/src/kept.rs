@@ -10,7 +10,7 @@ use sightline_scene::Scene;
 use crate::ids::{Digest, JobId};
 
 /// Answers that need the scene.
-pub trait Answers: Send + Sync {
+pub trait SceneQueries: Send + Sync {
     /// Computes why a triangle is visible from a cell or not. Stops when the asker `is_gone`.
     ///
     /// # Errors
@@ -71,10 +71,10 @@ pub(crate) type Asked = Option<(Digest, Arc<Pvs>)>;
 
 /// The result of a part of a job that was made last, and of what.
 #[derive(Default)]
-pub(crate) struct Last(pub(crate) Option<Made>);
+pub(crate) struct PartialCache(pub(crate) Option<CachedPartial>);
 
 /// A result of these outputs of a job's tiles.
-pub(crate) struct Made {
+pub(crate) struct CachedPartial {
     pub(crate) job: JobId,
     pub(crate) of: Vec<Option<Digest>>,
     pub(crate) bytes: Arc<[u8]>,

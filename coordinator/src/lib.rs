@@ -6,8 +6,8 @@
 //! itself.
 //!
 //! Modules depend on each other in one direction: [`services`](serve) translate between gRPC and the subjects
-//! (`jobs`, `workers`, `outputs`, `results`, `uploads`); the subjects decide; below them are the shared state,
-//! the scheduler and the [`store`].
+//! (`jobs`, `workers`, `outputs`, `results`, `uploads`); the subjects decide; below them are the shared
+//! state, the scheduler and the [`store`].
 //!
 //! ```
 //! use sightline_coordinator::{Config, Coordinator};
@@ -51,7 +51,7 @@ mod simulator;
 #[cfg(test)]
 mod tests;
 
-pub use kept::{Answers, Retention};
+pub use kept::{Retention, SceneQueries};
 pub use lifecycle::{Config, OpenError};
 pub use quota::{Quota, QuotaError, Quotas, bytes};
 pub use services::{

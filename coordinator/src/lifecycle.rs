@@ -7,20 +7,20 @@ use crate::blobs::ownership;
 use crate::blobs::references::KeepingError;
 use crate::clock::{Clock, SystemClock};
 use crate::dispatch::run::happened;
-use crate::dispatch::{Chore, tell};
+use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Epoch, JobId};
 use crate::jobs::retention_clock::{Ages, RetentionClock};
 use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
 use crate::kept::Retention;
 use crate::quota::Quotas;
-use crate::scheduler::{Event, Job, Machine, Settings};
+use crate::scheduler::{Event, Job, Scheduler, Settings};
 use crate::state::{Coordinator, Leases};
 use crate::store::{
     BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore,
     Store, StoreError,
 };
-use crate::telemetry::events::{Chronicle, Happening, Kind};
+use crate::telemetry::events::{EventLog, Kind, LogEvent};
 use crate::workers::crews::Crews;
 
 /// The settings of a coordinator on one machine's disk.
@@ -129,7 +129,7 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
     ) -> Result<Arc<Self>, OpenError> {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
-        let chronicle = Chronicle::of(config.data_dir.join("events"));
+        let chronicle = EventLog::of(config.data_dir.join("events"));
         let kept = (
             outcomes,
             chronicle,
@@ -154,7 +154,7 @@ impl Coordinator {
             store,
             blobs,
             clock,
-            (Outcomes::nowhere(), Chronicle::nowhere(), None),
+            (Outcomes::nowhere(), EventLog::nowhere(), None),
         )
     }
 
@@ -163,7 +163,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        (outcomes, chronicle, config): (Outcomes, Chronicle, Option<(PathBuf, Quotas, Retention)>),
+        (outcomes, chronicle, config): (Outcomes, EventLog, Option<(PathBuf, Quotas, Retention)>),
     ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
         // An empty blob store receives the store's name before the first blob.
@@ -234,7 +234,7 @@ impl Coordinator {
             blobs,
             clock,
             kept,
-            Machine::new(settings),
+            Scheduler::new(settings),
         );
         if let Some((data_dir, quotas, retention)) = config {
             (this.data_dir, this.quotas, this.retention) = (Some(data_dir), quotas, retention);
@@ -247,7 +247,7 @@ impl Coordinator {
             "the coordinator starts, version {version}; jobs to go on with: {}",
             jobs.len()
         );
-        this.happened(Happening::of(Kind::Coordinator, text));
+        this.happened(LogEvent::of(Kind::Coordinator, text));
         retention_stamp::report(&this);
         for quarantined in this.store.quarantined()? {
             happened(&this, Event::Quarantined(quarantined.worker));
@@ -278,6 +278,6 @@ fn spot_seed(share: f64) -> Result<u64, StoreError> {
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what
 /// waited. To be called a few times a second.
 #[must_use]
-pub(crate) fn tick(c: &Coordinator) -> Vec<Chore> {
+pub(crate) fn tick(c: &Coordinator) -> Vec<FollowUp> {
     tell(c, Event::Tick)
 }

@@ -21,12 +21,12 @@ use crate::clock::{Clock, Moment};
 use crate::dispatch::outbox::{Scheduling, Watched};
 use crate::ids::{Digest, JobId};
 use crate::jobs::retention_clock::{Ages, FutureBlobs, RetentionClock};
-use crate::kept::{Answers, Asked, Last, LastTrial, Retention};
+use crate::kept::{Asked, LastTrial, PartialCache, Retention, SceneQueries};
 use crate::outputs::staging::Staging;
-use crate::quota::{Budget, Intake, Pace, Quotas, Turns, Usage};
-use crate::scheduler::{Machine, Now};
+use crate::quota::{Budget, Intake, Quotas, RateLimiter, Turns, Usage};
+use crate::scheduler::{Now, Scheduler};
 use crate::store::{Blobs, Store, StoreIdentity};
-use crate::telemetry::events::{Chronicle, Happening};
+use crate::telemetry::events::{EventLog, LogEvent};
 use crate::telemetry::metrics::Metrics;
 use crate::telemetry::spans::Spans;
 use crate::uploads::chunks::Uploads;
@@ -93,7 +93,7 @@ pub struct Coordinator {
     /// Crews, and the outcomes of the phases of unfinished tiles.
     pub(crate) crews: Crews,
     /// What happened.
-    pub(crate) chronicle: Chronicle,
+    pub(crate) chronicle: EventLog,
     /// The spans of jobs.
     pub(crate) spans: Arc<Spans>,
     /// The origin of the scheduler's time.
@@ -110,7 +110,7 @@ pub struct Coordinator {
     /// What was to be known of receivers last: the tiles of a job have the same.
     pub(crate) last_receivers: Mutex<Option<(Digest, StoredReceivers)>>,
     /// The result of a part of a job that was made last.
-    pub(crate) last_partial: Mutex<Last>,
+    pub(crate) last_partial: Mutex<PartialCache>,
     /// Permits for downloads, each of which occupies a thread for as long as its client takes.
     pub(crate) downloads: Arc<Semaphore>,
     /// Permits for reading scenes from files.
@@ -139,7 +139,7 @@ pub struct Coordinator {
     future_blobs: Mutex<FutureBlobs>,
     /// What users may have, and how often they call.
     pub(crate) quotas: Quotas,
-    pub(crate) pace: Pace,
+    pub(crate) pace: RateLimiter,
     /// What users had when it was counted last.
     pub(crate) counted: Mutex<BTreeMap<String, (Instant, Usage)>>,
     /// Held while it is looked whether a user may have something, until it is recorded.
@@ -158,25 +158,25 @@ pub struct Coordinator {
     pub(crate) lease_tags: LeaseTags,
     pub(crate) identities: IdentityProofs,
     /// Who answers what needs the scene.
-    pub(crate) answers: OnceLock<Box<dyn Answers>>,
+    pub(crate) answers: OnceLock<Box<dyn SceneQueries>>,
     /// The result that was asked about last.
     pub(crate) last_asked: Mutex<Asked>,
     /// The jobs that wait for a scene or receivers whose file is lost.
-    pub(crate) lost: Mutex<BTreeMap<JobId, Lacks>>,
+    pub(crate) lost: Mutex<BTreeMap<JobId, MissingBlob>>,
     /// Held while jobs are paused for want of these, or go on with them.
     lost_turn: Mutex<()>,
 }
 
 /// What a job waits for, because its file is lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Lacks {
+pub(crate) enum MissingBlob {
     /// Its scene.
     Scene(Digest),
     /// Its receivers.
     Receivers(Digest),
 }
 
-impl Lacks {
+impl MissingBlob {
     /// The digest of what is lost.
     pub(crate) fn digest(self) -> Digest {
         let (Self::Scene(digest) | Self::Receivers(digest)) = self;
@@ -192,8 +192,8 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        (crews, chronicle): (Crews, Chronicle),
-        machine: Machine,
+        (crews, chronicle): (Crews, EventLog),
+        scheduler: Scheduler,
     ) -> Self {
         let origin = clock.now().at;
         let retention_clock = Mutex::new(RetentionClock::new(None, Ages::default(), clock.now()));
@@ -206,7 +206,7 @@ impl Coordinator {
             chronicle,
             spans: Arc::default(),
             origin,
-            scheduling: Mutex::new(Scheduling::new(machine)),
+            scheduling: Mutex::new(Scheduling::new(scheduler)),
             watched: Mutex::default(),
             turn: Mutex::default(),
             outputs: RwLock::default(),
@@ -227,7 +227,7 @@ impl Coordinator {
             stamping: Mutex::default(),
             future_blobs: Mutex::default(),
             quotas: Quotas::default(),
-            pace: Pace::default(),
+            pace: RateLimiter::default(),
             counted: Mutex::default(),
             quota_turn: Mutex::default(),
             metrics: Metrics::default(),
@@ -245,7 +245,7 @@ impl Coordinator {
     }
 
     /// Gives questions that need the scene of a stored result to somebody. Only the first one counts.
-    pub fn answer_with(&self, answers: Box<dyn Answers>) {
+    pub fn answer_with(&self, answers: Box<dyn SceneQueries>) {
         drop(self.answers.set(answers));
     }
 
@@ -258,9 +258,9 @@ impl Coordinator {
     pub fn send_traces(&self, traces: Traces) {
         self.spans.send_to(traces);
         let scheduling = self.lock();
-        let jobs = scheduling.machine.job_ids();
+        let jobs = scheduling.scheduler.job_ids();
         jobs.into_iter()
-            .filter_map(|id| scheduling.machine.job(id))
+            .filter_map(|id| scheduling.scheduler.job(id))
             .for_each(|job| self.spans.taken_up(job));
     }
 
@@ -314,7 +314,7 @@ impl Coordinator {
     }
 
     /// Notes that something happened, for people. Does not block.
-    pub(crate) fn happened(&self, what: Happening) {
+    pub(crate) fn happened(&self, what: LogEvent) {
         self.chronicle.record(self.clock.now().unix_ms, what);
     }
 

@@ -56,7 +56,7 @@ pub(crate) enum AssembleError {
     Codec(#[from] CodecError),
     /// The answers of a job of ambient occlusion cannot be put together.
     #[error(transparent)]
-    Answers(AnswerError),
+    SceneQueries(AnswerError),
     /// Compression failed.
     #[error("a stand-in could not be compressed: {0}")]
     Compress(#[from] std::io::Error),
@@ -66,7 +66,7 @@ impl From<AnswerError> for AssembleError {
     fn from(e: AnswerError) -> Self {
         match e {
             AnswerError::Blob(e) => Self::Blob(e),
-            e => Self::Answers(e),
+            e => Self::SceneQueries(e),
         }
     }
 }
@@ -85,7 +85,7 @@ impl AssembleError {
     fn of_blob(&self) -> Option<&BlobError> {
         match self {
             Self::Blob(e) | Self::Facts(FactsError::Blob(e)) => Some(e),
-            Self::Answers(AnswerError::Receivers(Fault::Blob(e))) => Some(e),
+            Self::SceneQueries(AnswerError::Receivers(Fault::Blob(e))) => Some(e),
             _ => None,
         }
     }
@@ -103,7 +103,7 @@ fn of_disk(blobs: &dyn Blobs, e: PvsError) -> AssembleError {
 const WRITTEN_AT_ONCE: usize = 1 << 20;
 
 /// A job whose result is written.
-pub(crate) struct Parts {
+pub(crate) struct AssemblyInput {
     pub(crate) work: Arc<Work>,
     pub(crate) profile: String,
     /// What there is of each tile.
@@ -112,7 +112,7 @@ pub(crate) struct Parts {
     pub(crate) samples: u64,
 }
 
-impl Parts {
+impl AssemblyInput {
     fn leaf(&self, number: u32) -> Leaf {
         let tile = TileIndex(number);
         Leaf {
@@ -172,7 +172,10 @@ impl Leaf {
 }
 
 /// Builds the result of a complete job and stores it; returns its digest and length.
-pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), AssembleError> {
+pub(crate) fn assemble(
+    c: &Coordinator,
+    parts: &AssemblyInput,
+) -> Result<(Digest, u64), AssembleError> {
     let mut file = c.blobs.put_stream()?;
     let bytes = write(
         c,
@@ -186,7 +189,7 @@ pub(crate) fn assemble(c: &Coordinator, parts: &Parts) -> Result<(Digest, u64), 
 /// show everything, as undecided. The result of a job of ambient occlusion is no such file.
 pub(crate) fn write(
     c: &Coordinator,
-    parts: &Parts,
+    parts: &AssemblyInput,
     out: &mut impl Write,
 ) -> Result<u64, AssembleError> {
     if let Some(ambient) = &parts.work.spec.ambient {
@@ -480,7 +483,7 @@ fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
 
 /// The description of the bake: everything that the result depends on, and nothing that differs between two
 /// runs.
-fn info(parts: &Parts, scene: &SceneFacts, samples: u64, set_aside: usize) -> String {
+fn info(parts: &AssemblyInput, scene: &SceneFacts, samples: u64, set_aside: usize) -> String {
     let kinds = &scene.kinds;
     let mut info = serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use crate::blobs::references::KeepingError;
 use crate::state::Coordinator;
 use crate::store::{Blobs, Store, StoreId};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// The relation of a blob store to a store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -84,7 +84,7 @@ pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
         Ok(None) => true,
         Ok(Some(refusal)) => {
             tracing::warn!("{refusal}");
-            c.happened(Happening::of(Kind::Coordinator, refusal));
+            c.happened(LogEvent::of(Kind::Coordinator, refusal));
             false
         }
         Err(e) => {

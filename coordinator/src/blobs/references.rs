@@ -21,7 +21,7 @@ pub enum KeepingError {
 
 /// What a blob is needed for.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Need {
+pub enum Reference {
     /// It is a scene.
     Scene,
     /// It is a job's result.
@@ -33,22 +33,24 @@ pub enum Need {
 }
 
 /// The blobs that records name and that have to be there. Outputs of a job that is done are in its result.
-pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Need>>, StoreError> {
-    let mut all: BTreeMap<Digest, Vec<Need>> = BTreeMap::new();
+pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Reference>>, StoreError> {
+    let mut all: BTreeMap<Digest, Vec<Reference>> = BTreeMap::new();
     for scene in store.scenes()? {
-        all.entry(scene.digest).or_default().push(Need::Scene);
+        all.entry(scene.digest).or_default().push(Reference::Scene);
     }
     for job in store.jobs()? {
         if let JobState::Done { result, .. } = job.state {
-            all.entry(result).or_default().push(Need::Result(job.id));
+            all.entry(result)
+                .or_default()
+                .push(Reference::Result(job.id));
         }
         for part in stored_spec::named(&job.spec) {
-            all.entry(part).or_default().push(Need::Spec(job.id));
+            all.entry(part).or_default().push(Reference::Spec(job.id));
         }
         for (tile, digest) in outputs(store, &job)? {
             all.entry(digest)
                 .or_default()
-                .push(Need::Output(job.id, tile));
+                .push(Reference::Output(job.id, tile));
         }
     }
     Ok(all)
@@ -126,7 +128,7 @@ pub struct Verified {
     /// Bytes of these.
     pub unneeded_bytes: u64,
     /// Blobs that are needed and are absent or damaged, with what they are needed for.
-    pub lost: BTreeMap<Digest, (Vec<Need>, String)>,
+    pub lost: BTreeMap<Digest, (Vec<Reference>, String)>,
 }
 
 /// Reads every record and every blob; `progress` is told the bytes that were read.
@@ -189,10 +191,10 @@ pub fn repair(store: &dyn Store, blobs: &dyn Blobs, found: &Verified) -> Result<
         blobs.remove(digest)?;
         for need in needs {
             match need {
-                Need::Output(job, tile) => drop(tiles.entry(*job).or_default().insert(*tile)),
+                Reference::Output(job, tile) => drop(tiles.entry(*job).or_default().insert(*tile)),
                 // All of its tiles are opened, whichever is named.
-                Need::Result(job) => drop(tiles.entry(*job).or_default().insert(TileIndex(0))),
-                Need::Scene | Need::Spec(_) => {}
+                Reference::Result(job) => drop(tiles.entry(*job).or_default().insert(TileIndex(0))),
+                Reference::Scene | Reference::Spec(_) => {}
             }
         }
     }

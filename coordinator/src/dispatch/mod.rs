@@ -1,5 +1,5 @@
 //! Between the state machine and the world: gives it events and the time under a short lock, sends orders and
-//! wakes watchers. What blocks is left to the caller as chores.
+//! wakes watchers. What blocks is left to the caller as follow-ups.
 
 pub(crate) mod outbox;
 pub(crate) mod run;
@@ -9,37 +9,39 @@ use std::collections::VecDeque;
 use crate::dispatch::outbox::{Outbox, Scheduling};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::scheduler::{
-    Command, Departure, Effect, Event, Introduction, Joined, NameTaken, Note, Order,
+    Departure, Effect, Event, Introduction, Joined, NameTaken, Note, StoreCommand, WorkerCommand,
 };
 use crate::state::Coordinator;
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
 
 /// Work that blocks and must be done after an event.
 #[derive(Debug)]
-pub(crate) enum Chore {
+pub(crate) enum FollowUp {
     /// A change of the store.
-    Run(Command),
+    Run(StoreCommand),
     /// The result of a complete job.
     Assemble(JobId),
 }
 
-/// Lets a worker join. The caller does the chores.
+/// Lets a worker join. The caller does the follow-ups.
 pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
     out: Box<dyn Outbox>,
-) -> (Result<Joined, NameTaken>, Vec<Chore>) {
+) -> (Result<Joined, NameTaken>, Vec<FollowUp>) {
     let name = intro.name.clone();
     let mut out = Some(out);
-    let (mut answer, mut chores) = (Err(NameTaken { name }), Vec::new());
+    let (mut answer, mut follow_ups) = (Err(NameTaken { name }), Vec::new());
     let scheduling = &mut *c.lock();
-    let effects = scheduling.machine.step(Event::Joined(intro), c.now_plain());
+    let effects = scheduling
+        .scheduler
+        .step(Event::Joined(intro), c.now_plain());
     carry_all(
         c,
         scheduling,
         effects,
-        &mut chores,
+        &mut follow_ups,
         &mut |scheduling, effect| {
             if let Effect::Joined(joined) = effect {
                 if let (Ok(joined), Some(out)) = (&joined, out.take()) {
@@ -50,28 +52,30 @@ pub(crate) fn join(
         },
     );
     c.watched().all_changed();
-    (answer, chores)
+    (answer, follow_ups)
 }
 
-/// Lets a worker go. The caller does the chores.
-pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Chore>) {
-    let (mut departure, mut chores) = (Departure::Lost, Vec::new());
+/// Lets a worker go. The caller does the follow-ups.
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<FollowUp>) {
+    let (mut departure, mut follow_ups) = (Departure::Lost, Vec::new());
     let scheduling = &mut *c.lock();
     scheduling.outboxes.remove(&worker);
-    let effects = scheduling.machine.step(Event::Left(worker), c.now_plain());
-    carry_all(c, scheduling, effects, &mut chores, &mut |_, effect| {
+    let effects = scheduling
+        .scheduler
+        .step(Event::Left(worker), c.now_plain());
+    carry_all(c, scheduling, effects, &mut follow_ups, &mut |_, effect| {
         if let Effect::Left(how) = effect {
             departure = how;
         }
     });
     c.watched().all_changed();
-    (departure, chores)
+    (departure, follow_ups)
 }
 
-/// Tells the machine of an event, without blocking. The caller does the chores.
+/// Tells the scheduler of an event, without blocking. The caller does the follow-ups.
 #[must_use]
-pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
-    let mut chores = Vec::new();
+pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<FollowUp> {
+    let mut follow_ups = Vec::new();
     // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
     let now = c.now_plain();
     if let Event::JobChanged(record) = &event
@@ -81,9 +85,9 @@ pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<Chore> {
     }
     let scheduling = &mut *c.lock();
     c.spans.heard(&event);
-    let effects = scheduling.machine.step(event, now);
-    carry_all(c, scheduling, effects, &mut chores, &mut |_, _| {});
-    chores
+    let effects = scheduling.scheduler.step(event, now);
+    carry_all(c, scheduling, effects, &mut follow_ups, &mut |_, _| {});
+    follow_ups
 }
 
 /// Carries out effects that do not block. The machine hears of orders that were not delivered after the
@@ -93,7 +97,7 @@ fn carry_all(
     c: &Coordinator,
     scheduling: &mut Scheduling,
     effects: Vec<Effect>,
-    chores: &mut Vec<Chore>,
+    follow_ups: &mut Vec<FollowUp>,
     answered: &mut dyn FnMut(&mut Scheduling, Effect),
 ) {
     let mut lost = VecDeque::new();
@@ -103,12 +107,12 @@ fn carry_all(
             if matches!(effect, Effect::Joined(_) | Effect::Left(_)) {
                 answered(scheduling, effect);
             } else {
-                lost.extend(carry(c, scheduling, effect, chores));
+                lost.extend(carry(c, scheduling, effect, follow_ups));
             }
         }
         next = lost
             .pop_front()
-            .map(|event| scheduling.machine.step(event, c.now_plain()));
+            .map(|event| scheduling.scheduler.step(event, c.now_plain()));
     }
 }
 
@@ -117,24 +121,24 @@ fn carry(
     c: &Coordinator,
     scheduling: &mut Scheduling,
     effect: Effect,
-    chores: &mut Vec<Chore>,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Option<Event> {
     match effect {
         Effect::Tell(worker, order) => {
             let lost = match &order {
-                Order::Grant(grant) => Some(Event::Undelivered(worker, grant.lease)),
-                Order::Help(help) => Some(Event::HelpUndelivered(worker, help.lease)),
-                Order::Revoke(_) | Order::Time { .. } => None,
+                WorkerCommand::Grant(grant) => Some(Event::Undelivered(worker, grant.lease)),
+                WorkerCommand::Help(help) => Some(Event::HelpUndelivered(worker, help.lease)),
+                WorkerCommand::Revoke(_) | WorkerCommand::Time { .. } => None,
             };
-            if let Order::Grant(grant) = &order {
-                let name = scheduling.machine.name_of(worker).unwrap_or_default();
+            if let WorkerCommand::Grant(grant) = &order {
+                let name = scheduling.scheduler.name_of(worker).unwrap_or_default();
                 let text = format!("tile {} is leased to {name}", grant.lease.tile);
-                c.spans.leased(&grant.lease, name, &scheduling.machine);
-                c.happened(Happening::of_lease(Kind::Leased, &grant.lease, text).on(name));
+                c.spans.leased(&grant.lease, name, &scheduling.scheduler);
+                c.happened(LogEvent::of_lease(Kind::Leased, &grant.lease, text).on(name));
             }
-            if let Order::Revoke(lease) = &order
+            if let WorkerCommand::Revoke(lease) = &order
                 // Helpers are told so, too, while the lease goes on.
-                && !scheduling.machine.is_leased(lease)
+                && !scheduling.scheduler.is_leased(lease)
             {
                 c.spans.lease_ended(lease, spans::TAKEN_BACK);
             }
@@ -147,11 +151,11 @@ fn carry(
             }
             return lost.filter(|_| !sent);
         }
-        Effect::Run(command) => chores.push(Chore::Run(command)),
-        Effect::Assemble(job) => chores.push(Chore::Assemble(job)),
+        Effect::Run(command) => follow_ups.push(FollowUp::Run(command)),
+        Effect::Assemble(job) => follow_ups.push(FollowUp::Assemble(job)),
         Effect::Changed(job) => c
             .watched()
-            .changed(job, scheduling.machine.job(job).is_none()),
+            .changed(job, scheduling.scheduler.job(job).is_none()),
         Effect::Note(note) => write(c, &note),
         // Answers to `join` and `leave`, which look at them themselves.
         Effect::Joined(_) | Effect::Left(_) => {}
@@ -171,37 +175,37 @@ fn write(c: &Coordinator, note: &Note) {
                 .unwrap_or_default();
             tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
             let text = format!("tile {tile} is taken back{of}: {why}");
-            Happening::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
+            LogEvent::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
         }
         Note::TakenOver(lease @ Lease { job, tile, .. }, from) => {
             let text = format!("queued on the busy worker {from}, goes to an idle worker");
             tracing::info!("tile {tile} of job {job}, {text}");
-            Happening::of_lease(Kind::TakenBack, lease, format!("tile {tile}, {text}")).on(from)
+            LogEvent::of_lease(Kind::TakenBack, lease, format!("tile {tile}, {text}")).on(from)
         }
         Note::Doubled(lease @ Lease { job, tile, .. }) => {
             let text = "takes long; an idle worker computes it, too";
             tracing::info!("tile {tile} of job {job} {text}");
-            Happening::of_lease(Kind::Job, lease, format!("tile {tile} {text}"))
+            LogEvent::of_lease(Kind::Job, lease, format!("tile {tile} {text}"))
         }
         Note::TileFailed(lease @ Lease { job, tile, .. }, worker, reason) => {
             c.spans.lease_ended(lease, spans::FAILED);
             tracing::warn!("tile {tile} of job {job} failed on {worker}: {reason}");
             let text = format!("tile {tile} failed on {worker}: {reason}");
-            Happening::of_lease(Kind::Failed, lease, text).on(worker)
+            LogEvent::of_lease(Kind::Failed, lease, text).on(worker)
         }
         Note::Died(lease @ Lease { job, tile, .. }, worker) => {
             c.metrics.worker_died();
             c.spans.lease_ended(lease, spans::FAILED);
             let text = format!("worker {worker} ended without a word while it held tile {tile}");
             tracing::warn!("job {job}: {text}");
-            Happening::of_lease(Kind::Failed, lease, text).on(worker)
+            LogEvent::of_lease(Kind::Failed, lease, text).on(worker)
         }
         Note::Agrees(job, tile, worker) => {
             c.metrics.spot_check("same");
             let text = format!("tile {tile} was computed again, with the same bytes");
-            Happening {
+            LogEvent {
                 tile: Some(*tile),
-                ..Happening::of_job(Kind::Check, *job, text).on(worker)
+                ..LogEvent::of_job(Kind::Check, *job, text).on(worker)
             }
         }
         Note::Differs(job, tile, workers) => {
@@ -212,9 +216,9 @@ fn write(c: &Coordinator, note: &Note) {
                 workers.join(", ")
             );
             tracing::error!("job {job}: {text}");
-            Happening {
+            LogEvent {
                 tile: Some(*tile),
-                ..Happening::of_job(Kind::Conflict, *job, text)
+                ..LogEvent::of_job(Kind::Conflict, *job, text)
             }
         }
         Note::NeedsThird(job, tile) => {
@@ -223,28 +227,28 @@ fn write(c: &Coordinator, note: &Note) {
                  another worker"
             );
             tracing::error!("job {job}: {text}");
-            Happening {
+            LogEvent {
                 tile: Some(*tile),
-                ..Happening::of_job(Kind::Conflict, *job, text)
+                ..LogEvent::of_job(Kind::Conflict, *job, text)
             }
         }
         Note::Unchecked(job, tile, why) => {
             c.metrics.spot_check("skipped");
             let text = format!("tile {tile} was to be computed again and was not: {why}");
             tracing::warn!("job {job}: {text}");
-            Happening {
+            LogEvent {
                 tile: Some(*tile),
-                ..Happening::of_job(Kind::Check, *job, text)
+                ..LogEvent::of_job(Kind::Check, *job, text)
             }
         }
         Note::Draining(name) => {
             let text = format!("worker {name} is draining: it finishes its tile and takes no more");
             tracing::info!("{text}");
-            Happening::of(Kind::Worker, text).on(name)
+            LogEvent::of(Kind::Worker, text).on(name)
         }
         Note::Chosen(job, chosen) => {
             tracing::info!("job {job}: {chosen}");
-            Happening::of_job(Kind::Job, *job, chosen)
+            LogEvent::of_job(Kind::Job, *job, chosen)
         }
         Note::GraceOver(job, tiles) => {
             let text = match tiles {
@@ -253,7 +257,7 @@ fn write(c: &Coordinator, note: &Note) {
                 n => format!("no worker has come back for {n} of its tiles"),
             };
             tracing::info!("job {job} goes on: {text}");
-            Happening::of_job(Kind::Job, *job, format!("the job goes on: {text}"))
+            LogEvent::of_job(Kind::Job, *job, format!("the job goes on: {text}"))
         }
     };
     c.happened(happening);

@@ -5,26 +5,26 @@ use std::collections::BTreeMap;
 use tokio::sync::watch;
 
 use crate::ids::{JobId, WorkerId};
-use crate::scheduler::{Machine, Order};
+use crate::scheduler::{Scheduler, WorkerCommand};
 
 /// The way to one worker.
 pub(crate) trait Outbox: Send {
     /// Sends without waiting; returns whether the message was accepted. A worker that does not read its
     /// stream loses messages and, with time, its leases.
-    fn offer(&self, order: Order) -> bool;
+    fn offer(&self, order: WorkerCommand) -> bool;
 }
 
 /// The state machine and the ways to its workers.
 pub(crate) struct Scheduling {
-    pub(crate) machine: Machine,
+    pub(crate) scheduler: Scheduler,
     pub(crate) outboxes: BTreeMap<WorkerId, Box<dyn Outbox>>,
 }
 
 impl Scheduling {
     /// A machine without workers.
-    pub(crate) fn new(machine: Machine) -> Self {
+    pub(crate) fn new(scheduler: Scheduler) -> Self {
         Self {
-            machine,
+            scheduler,
             outboxes: BTreeMap::new(),
         }
     }

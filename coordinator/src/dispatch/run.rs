@@ -1,86 +1,86 @@
 //! The work that follows from an event and blocks: commands of the store, and assembling results.
 //!
 //! The scheduler's lock is never held during a call of the store. Commands about records of jobs take turns
-//! (`Coordinator::turn`), so that the machine hears of them in the order in which the store carried them out;
-//! the outputs of tiles do not, so that many of them share one sync of the disk.
+//! (`Coordinator::turn`), so that the scheduler hears of them in the order in which the store carried them
+//! out; the outputs of tiles do not, so that many of them share one sync of the disk.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use crate::assemble::result::stand_in;
-use crate::dispatch::{Chore, tell};
+use crate::dispatch::{FollowUp, tell};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::results::finalize;
-use crate::scheduler::{Command, Event};
+use crate::scheduler::{Event, StoreCommand};
 use crate::state::Coordinator;
 use crate::store::{JobPhase, JobState, StoreError, TileCheck};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
-/// Tells the machine of an event and does what follows from it. Blocks on the disk.
+/// Tells the scheduler of an event and does what follows from it. Blocks on the disk.
 pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
-    let chores = tell(c, event);
-    do_chores(c, chores);
+    let follow_ups = tell(c, event);
+    run_follow_ups(c, follow_ups);
 }
 
-/// Does chores and all that follow from them. Blocks on the disk.
-pub(crate) fn do_chores(c: &Arc<Coordinator>, chores: Vec<Chore>) {
-    let mut open = VecDeque::from(chores);
-    while let Some(chore) = open.pop_front() {
-        match chore {
-            Chore::Run(command) => open.extend(run(c, command)),
-            Chore::Assemble(job) => {
+/// Does follow-ups and all that follow from them. Blocks on the disk.
+pub(crate) fn run_follow_ups(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
+    let mut open = VecDeque::from(follow_ups);
+    while let Some(follow_up) = open.pop_front() {
+        match follow_up {
+            FollowUp::Run(command) => open.extend(run(c, command)),
+            FollowUp::Assemble(job) => {
                 let c = Arc::clone(c);
                 std::thread::spawn(move || {
-                    let chores = finalize::finish(&c, job);
-                    do_chores(&c, chores);
+                    let follow_ups = finalize::finish(&c, job);
+                    run_follow_ups(&c, follow_ups);
                 });
             }
         }
     }
 }
 
-/// Runs a command of the store and tells the machine how it went.
-fn run(c: &Arc<Coordinator>, command: Command) -> Vec<Chore> {
-    // Until the machine has heard of it.
+/// Runs a command of the store and tells the scheduler how it went.
+fn run(c: &Arc<Coordinator>, command: StoreCommand) -> Vec<FollowUp> {
+    // Until the scheduler has heard of it.
     let _turn = c.turn();
-    let mut chores = Vec::new();
-    match outcome(c, &command, &mut chores) {
-        Ok(Some(event)) => chores.extend(tell(c, event)),
+    let mut follow_ups = Vec::new();
+    match outcome(c, &command, &mut follow_ups) {
+        Ok(Some(event)) => follow_ups.extend(tell(c, event)),
         Ok(None) => {}
-        // The job has changed in the meantime; the machine has heard of that, or will.
+        // The job has changed in the meantime; the scheduler has heard of that, or will.
         Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
         Err(e) => {
             let text = format!("no tiles are granted for a while: {e}");
             tracing::error!("{text}");
-            c.happened(Happening::of(Kind::Coordinator, text));
-            chores.extend(tell(c, Event::Refused(command)));
+            c.happened(LogEvent::of(Kind::Coordinator, text));
+            follow_ups.extend(tell(c, Event::Refused(command)));
         }
     }
-    chores
+    follow_ups
 }
 
 fn outcome(
     c: &Arc<Coordinator>,
-    command: &Command,
-    chores: &mut Vec<Chore>,
+    command: &StoreCommand,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Result<Option<Event>, StoreError> {
     let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
     match command {
-        Command::Bind(id, profile) => {
+        StoreCommand::Bind(id, profile) => {
             Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?)))
         }
-        Command::Start(id) => {
+        StoreCommand::Start(id) => {
             let record = c.store.set_job_state(
                 *id,
                 &[JobPhase::Queued],
                 JobState::Running,
                 retention_stamp::end_time(c),
             )?;
-            c.happened(Happening::of_job(Kind::Job, *id, "the job is running"));
+            c.happened(LogEvent::of_job(Kind::Job, *id, "the job is running"));
             changed(record)
         }
-        Command::Fail {
+        StoreCommand::Fail {
             job,
             tile,
             worker,
@@ -99,7 +99,7 @@ fn outcome(
             }))
         }
         // The next leader continues with the outcomes of a dead one.
-        Command::CountDeath {
+        StoreCommand::CountDeath {
             job,
             tile,
             worker,
@@ -115,7 +115,7 @@ fn outcome(
                 dead,
             }))
         }
-        Command::CancelDeath {
+        StoreCommand::CancelDeath {
             job,
             tile,
             worker,
@@ -124,7 +124,7 @@ fn outcome(
             c.store.forget_failure(*job, *tile, worker, reason)?;
             Ok(None)
         }
-        Command::SetAside {
+        StoreCommand::SetAside {
             job,
             work,
             tiles,
@@ -151,17 +151,17 @@ fn outcome(
                         tracing::error!("tile {tile} of job {job} {text}");
                         c.metrics.tile_set_aside();
                         let text = format!("tile {tile} {text} ({reason})");
-                        let what = Happening::of_job(Kind::SetAside, *job, text);
-                        c.happened(Happening {
+                        let what = LogEvent::of_job(Kind::SetAside, *job, text);
+                        c.happened(LogEvent {
                             tile: Some(tile),
                             ..what
                         });
                     }
-                    // A late result has come in between; the machine hears of it.
+                    // A late result has come in between; the scheduler hears of it.
                     Err(StoreError::TileNotOpen { .. }) => {}
                     Err(e) => return Err(e),
                 }
-                chores.extend(tell(
+                follow_ups.extend(tell(
                     c,
                     Event::SetAside {
                         job: *job,
@@ -172,7 +172,7 @@ fn outcome(
             }
             Ok(None)
         }
-        Command::Confirm {
+        StoreCommand::Confirm {
             job,
             tile,
             digest,
@@ -185,15 +185,15 @@ fn outcome(
             c.store.confirm_tile(*job, *tile, *digest, check)?;
             Ok(None)
         }
-        Command::Quarantine {
+        StoreCommand::Quarantine {
             workers,
             condemned,
             reason,
         } => {
-            invalidate::condemn(c, workers, *condemned, reason, chores)?;
+            invalidate::condemn(c, workers, *condemned, reason, follow_ups)?;
             Ok(None)
         }
-        Command::FailJob(id, reason) => {
+        StoreCommand::FailJob(id, reason) => {
             // Submitted again, the job begins from nothing.
             c.crews.outcomes.sweep(|job| job != *id);
             let failed = JobState::Failed {
@@ -203,7 +203,7 @@ fn outcome(
             let record =
                 c.store
                     .set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
-            c.happened(Happening::of_job(
+            c.happened(LogEvent::of_job(
                 Kind::Job,
                 *id,
                 format!("the job has failed: {reason}"),

@@ -1,12 +1,12 @@
-//! A job's record moves to another state, and the machine hears of it. The caller does the chores.
+//! A job's record moves to another state, and the scheduler hears of it. The caller does the follow-ups.
 
-use crate::dispatch::{Chore, tell};
+use crate::dispatch::{FollowUp, tell};
 use crate::ids::JobId;
 use crate::jobs::retention_stamp;
 use crate::scheduler::Event;
 use crate::state::Coordinator;
 use crate::store::{JobPhase, JobState, StoreError};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// Moves a job that is in one of some phases to another state.
 pub(crate) fn turned(
@@ -14,13 +14,13 @@ pub(crate) fn turned(
     id: JobId,
     from: &[JobPhase],
     to: JobState,
-) -> Result<Vec<Chore>, StoreError> {
+) -> Result<Vec<FollowUp>, StoreError> {
     let _turn = c.turn();
     let record = c
         .store
         .set_job_state(id, from, to, retention_stamp::end_time(c))?;
     tracing::info!("job {id} is {}", record.state.phase());
-    c.happened(Happening::of_job(
+    c.happened(LogEvent::of_job(
         Kind::Job,
         id,
         format!("the job is {}", record.state.phase()),

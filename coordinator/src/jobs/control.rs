@@ -5,15 +5,15 @@ use std::sync::{Arc, PoisonError};
 use sightline_traces::TraceId;
 
 use crate::access::Caller;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
 use crate::ids::{Digest, JobId};
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
 use crate::scheduler::{Event, Job, Team, Unable, cells_total};
-use crate::state::{Coordinator, Lacks};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileRecord, TileState};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// A job that cannot be changed or fetched.
 #[derive(Debug, thiserror::Error)]
@@ -56,7 +56,7 @@ pub(crate) struct Summary {
     /// Milliseconds until the job is done, while that is known.
     pub(crate) left_millis: Option<u64>,
     /// What cannot be read, so that it is paused.
-    pub(crate) lacks: Option<Lacks>,
+    pub(crate) lacks: Option<MissingBlob>,
     /// Its trace, where traces are sent.
     pub(crate) trace: Option<TraceId>,
 }
@@ -120,7 +120,7 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
         return Ok(summary);
     }
     let record = record(c, id)?;
-    let workers = c.lock().machine.workers();
+    let workers = c.lock().scheduler.workers();
     let tiles = c.store.tiles(id)?;
     // The specification of another version cannot be planned; the number of its cells is unknown then.
     let total = stored_spec::planned(&*c.blobs, &record.spec)
@@ -147,8 +147,8 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         .get(&id)
         .copied();
     let scheduling = c.lock();
-    let machine = &scheduling.machine;
-    let job = machine.job(id)?;
+    let scheduler = &scheduling.scheduler;
+    let job = scheduler.job(id)?;
     Some(Summary {
         record: job.record.clone(),
         tiles_total: job.tiles.len() as u32,
@@ -159,7 +159,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
         cells_total: job.cells_total,
         samples: job.samples.saturating_add(job.running_samples),
         tile_millis: job.millis,
-        workers: machine.workers(),
+        workers: scheduler.workers(),
         now_ms: now.unix_ms,
         left_millis: job.left(now),
         lacks,
@@ -169,7 +169,7 @@ pub(crate) fn live(c: &Coordinator, id: JobId) -> Option<Summary> {
 
 /// Which jobs are wanted: those to which all of it applies.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Wanted {
+pub(crate) struct JobFilter {
     /// In one of these states; empty for all.
     pub(crate) phases: Vec<JobPhase>,
     /// A part of the name.
@@ -179,7 +179,7 @@ pub(crate) struct Wanted {
     pub(crate) scene: Option<Digest>,
 }
 
-impl Wanted {
+impl JobFilter {
     fn is_all(&self) -> bool {
         self.phases.is_empty()
             && self.name.is_empty()
@@ -202,7 +202,7 @@ pub(crate) fn list(
     caller: &Caller,
     before: JobId,
     most: usize,
-    wanted: &Wanted,
+    wanted: &JobFilter,
 ) -> Result<(Vec<Summary>, bool), StoreError> {
     let (page, older) = own_before(c, caller, before, most, wanted)?;
     let of = |job: &JobRecord| match summary(c, job.id) {
@@ -219,7 +219,7 @@ fn own_before(
     caller: &Caller,
     mut before: JobId,
     most: usize,
-    wanted: &Wanted,
+    wanted: &JobFilter,
 ) -> Result<(Vec<JobRecord>, bool), StoreError> {
     if caller.sees_all() && wanted.is_all() {
         return c.store.jobs_before(before, most);
@@ -248,12 +248,12 @@ fn own_before(
 
 /// The connected workers that cannot work on a job, by reason.
 pub(crate) fn unable(c: &Coordinator, job: JobId) -> Vec<Unable> {
-    c.lock().machine.unable(job)
+    c.lock().scheduler.unable(job)
 }
 
 /// Who works on a job's tiles.
 pub(crate) fn teams(c: &Coordinator, job: JobId) -> Vec<Team> {
-    c.lock().machine.teams(job)
+    c.lock().scheduler.teams(job)
 }
 
 /// The digest of a done job's result.
@@ -286,8 +286,8 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
     if !now {
         return Ok(paused);
     }
-    do_chores(c, tell(c, Event::Stopped(job)));
-    c.happened(Happening::of_job(
+    run_follow_ups(c, tell(c, Event::Stopped(job)));
+    c.happened(LogEvent::of_job(
         Kind::Job,
         job,
         "tiles at work are stopped",
@@ -315,18 +315,18 @@ pub(crate) fn prioritize(
     id: JobId,
     priority: i32,
 ) -> Result<Summary, JobError> {
-    let chores = {
+    let follow_ups = {
         let _turn = c.turn();
         let record = c.store.prioritize_job(id, priority)?;
         tracing::info!("job {id} has priority {priority}");
-        c.happened(Happening::of_job(
+        c.happened(LogEvent::of_job(
             Kind::Job,
             id,
             format!("the job has priority {priority}"),
         ));
         tell(c, Event::JobChanged(Box::new(record)))
     };
-    do_chores(c, chores);
+    run_follow_ups(c, follow_ups);
     Ok(summary(c, id)?)
 }
 
@@ -337,15 +337,15 @@ fn turn(
     from: &[JobPhase],
     to: JobState,
 ) -> Result<Summary, JobError> {
-    let chores = turned(c, id, from, to)?;
-    do_chores(c, chores);
+    let follow_ups = turned(c, id, from, to)?;
+    run_follow_ups(c, follow_ups);
     Ok(summary(c, id)?)
 }
 
 /// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
 /// that has not ended stays as it is.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     {
         let _turn = c.turn();
         let before = record(c, id)?;
@@ -357,12 +357,12 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
             let after = record(c, id)?;
             if !after.state.phase().ended() {
                 let job = Job::of(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
-                chores = tell(c, Event::TakenUp(Box::new(job)));
+                follow_ups = tell(c, Event::TakenUp(Box::new(job)));
                 tracing::info!("job {id} is tried again");
-                c.happened(Happening::of_job(Kind::Job, id, "the job is tried again"));
+                c.happened(LogEvent::of_job(Kind::Job, id, "the job is tried again"));
             }
         }
     }
-    do_chores(c, chores);
+    run_follow_ups(c, follow_ups);
     Ok(summary(c, id)?)
 }

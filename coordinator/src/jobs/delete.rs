@@ -6,10 +6,10 @@ use std::sync::{Arc, PoisonError};
 use crate::ids::{Digest, JobId};
 use crate::jobs::control::{self, JobError, Summary};
 use crate::jobs::stored_spec;
-use crate::kept::Last;
+use crate::kept::PartialCache;
 use crate::state::Coordinator;
 use crate::store::{JobRecord, JobState, StoreError, TileState};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// The blobs that a job names, apart from its scene: its result, the outputs of its tiles, the large parts of
 /// its specification, and its receivers.
@@ -78,11 +78,11 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
     c.crews.outcomes.sweep(|other| other != id);
     *c.last_partial
         .lock()
-        .unwrap_or_else(PoisonError::into_inner) = Last::default();
+        .unwrap_or_else(PoisonError::into_inner) = PartialCache::default();
     *c.last_asked.lock().unwrap_or_else(PoisonError::into_inner) = None;
     c.watched().changed(id, true);
     tracing::info!("job {id} is deleted");
-    c.happened(Happening::of_job(
+    c.happened(LogEvent::of_job(
         Kind::Job,
         id,
         format!("the job ({}) is deleted", was.record.name),

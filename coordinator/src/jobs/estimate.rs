@@ -79,9 +79,9 @@ pub(crate) fn estimate(
         .transpose()?;
     let (jobs_before, workers) = {
         let scheduling = c.lock();
-        let machine = &scheduling.machine;
+        let scheduler = &scheduling.scheduler;
         let before = |id: &JobId| {
-            machine.job(*id).is_some_and(|job| {
+            scheduler.job(*id).is_some_and(|job| {
                 let equal = job.record.priority == submission.priority
                     && job.record.user == submission.user;
                 let answers = existing
@@ -94,8 +94,8 @@ pub(crate) fn estimate(
             })
         };
         (
-            machine.job_ids().iter().filter(|id| before(id)).count() as u32,
-            machine.workers(),
+            scheduler.job_ids().iter().filter(|id| before(id)).count() as u32,
+            scheduler.workers(),
         )
     };
     let cost = (cells > 0)

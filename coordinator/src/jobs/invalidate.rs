@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::dispatch::{Chore, tell};
+use crate::dispatch::{FollowUp, tell};
 use crate::ids::{JobId, TileIndex};
 use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
@@ -12,11 +12,11 @@ use crate::state::Coordinator;
 use crate::store::{
     JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState,
 };
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// Which results are meant.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Which {
+pub(crate) struct TileFilter {
     /// Of this job alone.
     pub(crate) job: Option<JobId>,
     /// These tiles alone; empty for all.
@@ -29,7 +29,7 @@ pub(crate) struct Which {
     pub(crate) to_ms: u64,
 }
 
-impl Which {
+impl TileFilter {
     fn means(&self, record: &TileRecord) -> bool {
         let TileState::Done { stats, .. } = &record.state else {
             return false;
@@ -52,17 +52,17 @@ pub(crate) fn condemn(
     workers: &[String],
     condemned: Option<(JobId, TileIndex)>,
     reason: &str,
-    chores: &mut Vec<Chore>,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Result<(), StoreError> {
     // The quarantine is recorded last: after a crash before that the worker is only found once more.
     for (job, tiles) in unbelieved(&*c.store, workers, condemned)? {
         if let Some(record) = c.store.job(job)? {
-            open_again(c, record, tiles, true, chores)?;
+            open_again(c, record, tiles, true, follow_ups)?;
         }
     }
     // Phases of open tiles that they may have computed are computed again, too.
     c.crews.outcomes.sweep(|_| false);
-    chores.extend(tell(c, Event::Swept));
+    follow_ups.extend(tell(c, Event::Swept));
     for worker in workers {
         let at_ms = c.now().unix_ms;
         let record = QuarantineRecord {
@@ -77,7 +77,7 @@ pub(crate) fn condemn(
              {worker}` lets it work again"
         );
         tracing::error!("{text}");
-        c.happened(Happening::of(Kind::Worker, text).on(worker));
+        c.happened(LogEvent::of(Kind::Worker, text).on(worker));
     }
     Ok(())
 }
@@ -92,14 +92,14 @@ pub(crate) fn unbelieved(
     let agreed = agreements(store, workers)?;
     let of_worker = |worker: &String| {
         let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
-        Which {
+        TileFilter {
             worker: Some(worker.clone()),
             from_ms,
             to_ms: u64::MAX,
-            ..Which::default()
+            ..TileFilter::default()
         }
     };
-    let all: Vec<Which> = workers.iter().map(of_worker).collect();
+    let all: Vec<TileFilter> = workers.iter().map(of_worker).collect();
     let mut unbelieved = BTreeMap::new();
     for job in store.jobs()? {
         let is_done = |tile: &TileRecord| matches!(tile.state, TileState::Done { .. });
@@ -148,8 +148,8 @@ fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, 
 /// Opens tiles again; returns how many of each job. To be called while holding the turn.
 pub(crate) fn invalidate(
     c: &Coordinator,
-    which: &Which,
-    chores: &mut Vec<Chore>,
+    which: &TileFilter,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Result<BTreeMap<JobId, u32>, StoreError> {
     let jobs = match which.job {
         Some(id) => {
@@ -176,7 +176,7 @@ pub(crate) fn invalidate(
             .collect();
         if !tiles.is_empty() {
             let id = job.id;
-            opened.insert(id, open_again(c, job, tiles, true, chores)?);
+            opened.insert(id, open_again(c, job, tiles, true, follow_ups)?);
         }
     }
     Ok(opened)
@@ -187,10 +187,10 @@ pub(crate) fn open(
     c: &Coordinator,
     job: JobId,
     tiles: BTreeSet<TileIndex>,
-    chores: &mut Vec<Chore>,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Result<u32, StoreError> {
     let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
-    open_again(c, record, tiles, false, chores)
+    open_again(c, record, tiles, false, follow_ups)
 }
 
 /// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with
@@ -200,7 +200,7 @@ fn open_again(
     job: JobRecord,
     tiles: BTreeSet<TileIndex>,
     with: bool,
-    chores: &mut Vec<Chore>,
+    follow_ups: &mut Vec<FollowUp>,
 ) -> Result<u32, StoreError> {
     let (id, was) = (job.id, job.state.phase());
     let spec = stored_spec::whole(&*c.blobs, &job.spec);
@@ -242,7 +242,7 @@ fn open_again(
         _ => format!("the outputs of {opened} tiles are lost and are computed again"),
     };
     tracing::warn!("job {id}: {text}");
-    c.happened(Happening::of_job(Kind::Job, id, text));
+    c.happened(LogEvent::of_job(Kind::Job, id, text));
     let Some(record) = c
         .store
         .job(id)?
@@ -251,14 +251,14 @@ fn open_again(
         return Ok(opened);
     };
     match again(record) {
-        Ok(job) => chores.extend(tell(c, Event::TakenUp(Box::new(job)))),
+        Ok(job) => follow_ups.extend(tell(c, Event::TakenUp(Box::new(job)))),
         Err(reason) => {
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
             let failed = crate::store::JobState::Failed { reason };
             let record = c
                 .store
                 .set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
-            chores.extend(tell(c, Event::JobChanged(Box::new(record))));
+            follow_ups.extend(tell(c, Event::JobChanged(Box::new(record))));
         }
     }
     Ok(opened)

@@ -3,10 +3,10 @@
 use std::sync::{Arc, PoisonError};
 
 use crate::jobs::control;
-use crate::state::{Coordinator, Lacks};
+use crate::state::{Coordinator, MissingBlob};
 
 /// Continues the jobs that have waited for something, which is there again.
-pub(crate) fn back(c: &Arc<Coordinator>, lacks: Lacks) {
+pub(crate) fn back(c: &Arc<Coordinator>, lacks: MissingBlob) {
     let _turn = c.lost_turn();
     let mut waiting = Vec::new();
     c.lost

@@ -14,7 +14,7 @@ use crate::jobs::delete;
 use crate::jobs::retention_clock::{Age, Kind};
 use crate::state::Coordinator;
 use crate::store::{JobRecord, JobState, StoreError};
-use crate::telemetry::events::{self, Happening};
+use crate::telemetry::events::{self, LogEvent};
 
 /// The largest difference between the clock of a file server or a bucket and the clock of this machine.
 const OTHER_CLOCKS: Duration = Duration::from_secs(15 * 60);
@@ -56,7 +56,7 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         Ok((blobs, bytes)) => {
             let text = format!("{blobs} blobs that nobody needs are removed, {bytes} bytes");
             tracing::info!("{text}");
-            c.happened(Happening::of(events::Kind::Coordinator, text));
+            c.happened(LogEvent::of(events::Kind::Coordinator, text));
         }
         Err(e) => tracing::warn!("blobs that nobody needs are not removed yet: {e}"),
     }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::jobs::retention_clock::{Kind, Pause};
 use crate::state::Coordinator;
-use crate::telemetry::events::{self, Happening};
+use crate::telemetry::events::{self, LogEvent};
 
 /// Returns the wall clock for the record of a job's end, in milliseconds since 1970. A step of the wall
 /// clock is in the store before, so that a crash cannot hide that the time of the record is wrong.
@@ -60,7 +60,7 @@ pub(crate) fn report(c: &Coordinator) {
     for pause in pauses {
         let text = text(&pause);
         tracing::warn!("{text}");
-        c.happened(Happening::of(events::Kind::Coordinator, text));
+        c.happened(LogEvent::of(events::Kind::Coordinator, text));
     }
 }
 

@@ -6,7 +6,7 @@ use sightline_model::{JobSpec, Method};
 use sightline_traces::Begun;
 use sightline_viewcells::{DivisionError, Plan};
 
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
 use crate::ids::{Digest, JobId};
 use crate::jobs::stored_spec;
@@ -16,11 +16,11 @@ use crate::state::Coordinator;
 use crate::store::{
     BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request,
 };
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans::Cause;
 use crate::uploads::receivers;
 use crate::uploads::scenes::{self, FactsError};
-use crate::users::quota_check::{HavingError, may_have, turn_of};
+use crate::users::quota_check::{HavingError, reserve_quota, turn_of};
 
 /// A specification to be submitted.
 pub(crate) struct Submission {
@@ -139,7 +139,7 @@ pub(crate) fn submit(
         .job_by_key(&owned_key(spec.key(), owner))?
         .map(|job| job.state.phase());
     if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
-        may_have(c, owner, more, sent)?;
+        reserve_quota(c, owner, more, sent)?;
     }
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
     let mut turn = c.turn();
@@ -193,7 +193,7 @@ pub(crate) fn submit(
         // From now on it is the job that names them.
         c.uploads.forget(owner, &[ambient.receivers]);
     }
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     if !submitted.existing {
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
@@ -209,12 +209,12 @@ pub(crate) fn submit(
             format!(" by {user}")
         };
         let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
-        c.happened(Happening::of_job(Kind::Submitted, id, text));
-        chores = tell(c, Event::TakenUp(Box::new(job)));
+        c.happened(LogEvent::of_job(Kind::Submitted, id, text));
+        follow_ups = tell(c, Event::TakenUp(Box::new(job)));
         c.spans.planned(id, begun, plan.tiles.len(), *cause);
     }
     drop(turn);
-    do_chores(c, chores);
+    run_follow_ups(c, follow_ups);
     Ok(submitted)
 }
 

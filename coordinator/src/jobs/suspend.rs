@@ -7,27 +7,28 @@
 use std::collections::BTreeSet;
 use std::sync::PoisonError;
 
-use crate::dispatch::Chore;
+use crate::dispatch::FollowUp;
 use crate::ids::JobId;
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
-use crate::state::{Coordinator, Lacks};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// Pauses the jobs of a scene or of receivers that cannot be read. Workers that have them finish their tiles.
-/// Nothing happens where no job names them. Returns the jobs that wait for them. The caller does the chores.
+/// Nothing happens where no job names them. Returns the jobs that wait for them. The caller does the
+/// follow-ups.
 pub(crate) fn lost(
     c: &Coordinator,
-    lacks: Lacks,
+    lacks: MissingBlob,
     why: &str,
-) -> Result<(BTreeSet<JobId>, Vec<Chore>), StoreError> {
+) -> Result<(BTreeSet<JobId>, Vec<FollowUp>), StoreError> {
     let _turn = c.lost_turn();
     // Somebody may have sent it since it was found damaged.
     if c.blobs.open_checked(&lacks.digest()).is_ok() {
         return Ok((BTreeSet::new(), Vec::new()));
     }
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     let list = || c.lost.lock().unwrap_or_else(PoisonError::into_inner);
     for job in c.store.jobs()? {
         let works = matches!(job.state.phase(), JobPhase::Queued | JobPhase::Running);
@@ -42,7 +43,7 @@ pub(crate) fn lost(
             &[JobPhase::Queued, JobPhase::Running],
             JobState::Paused,
         ) {
-            Ok(more) => chores.extend(more),
+            Ok(more) => follow_ups.extend(more),
             Err(_) => {
                 // It has ended, or a person has paused it.
                 list().remove(&job.id);
@@ -50,11 +51,11 @@ pub(crate) fn lost(
             }
         }
         let (name, again) = match lacks {
-            Lacks::Scene(_) => (
+            MissingBlob::Scene(_) => (
                 "scene",
                 "the scene again, with `sightline submit` and the same file",
             ),
-            Lacks::Receivers(_) => (
+            MissingBlob::Receivers(_) => (
                 "receivers",
                 "the receivers again, with the `sightline ambient` that made the job",
             ),
@@ -66,21 +67,21 @@ pub(crate) fn lost(
         let text = format!(
             "the job is paused, for its {name} cannot be read: send {again}, and the job goes on"
         );
-        c.happened(Happening::of_job(Kind::Job, job.id, text));
+        c.happened(LogEvent::of_job(Kind::Job, job.id, text));
     }
     let waiting = list()
         .iter()
         .filter(|(_, of)| **of == lacks)
         .map(|(job, _)| *job)
         .collect();
-    Ok((waiting, chores))
+    Ok((waiting, follow_ups))
 }
 
 /// Whether a job cannot go on without what is lost.
-fn needs(job: &JobRecord, lacks: Lacks) -> bool {
+fn needs(job: &JobRecord, lacks: MissingBlob) -> bool {
     match lacks {
-        Lacks::Scene(digest) => job.scene == digest,
-        Lacks::Receivers(digest) => {
+        MissingBlob::Scene(digest) => job.scene == digest,
+        MissingBlob::Receivers(digest) => {
             stored_spec::receivers(&job.spec).is_some_and(|ambient| ambient.receivers == digest)
         }
     }

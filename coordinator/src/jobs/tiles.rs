@@ -4,7 +4,7 @@ use sightline_viewcells::TileKind;
 
 use crate::ids::{JobId, TileIndex};
 use crate::jobs::stored_spec;
-use crate::scheduler::Standing;
+use crate::scheduler::TileStatus;
 use crate::state::Coordinator;
 use crate::store::{StoreError, TileFailure, TileState};
 
@@ -12,7 +12,7 @@ use crate::store::{StoreError, TileFailure, TileState};
 #[derive(Clone, Debug)]
 pub(crate) struct TileView {
     pub(crate) tile: TileIndex,
-    pub(crate) standing: Standing,
+    pub(crate) standing: TileStatus,
     /// Its part of the view box, in world space; `None` if another version of the program planned the job, or
     /// if it has receivers and no cells.
     pub(crate) bounds: Option<[glam::Vec3; 2]>,
@@ -38,14 +38,14 @@ pub(crate) struct Page {
 }
 
 /// How all tiles of a job stand. Blocks on the disk for one that has ended.
-pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<Standing>, StoreError> {
-    if let Some(live) = c.lock().machine.standings(id) {
+pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, StoreError> {
+    if let Some(live) = c.lock().scheduler.standings(id) {
         return Ok(live);
     }
     let of = |state: &TileState| match state {
-        TileState::Open => Standing::Waiting,
-        TileState::Done { .. } => Standing::Done,
-        TileState::SetAside { .. } => Standing::SetAside,
+        TileState::Open => TileStatus::Waiting,
+        TileState::Done { .. } => TileStatus::Done,
+        TileState::SetAside { .. } => TileStatus::SetAside,
     };
     Ok(c.store
         .tiles(id)?
@@ -60,11 +60,11 @@ pub(crate) fn list(
     id: JobId,
     first: TileIndex,
     most: usize,
-    wanted: &[Standing],
+    wanted: &[TileStatus],
 ) -> Result<Page, StoreError> {
     let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
     let records = c.store.tiles(id)?;
-    let live = c.lock().machine.live_tiles(id, 0..records.len());
+    let live = c.lock().scheduler.live_tiles(id, 0..records.len());
     let planned = stored_spec::planned(&*c.blobs, &record.spec).ok();
     let planned = planned
         .and_then(|spec| spec.plan().ok())
@@ -79,10 +79,10 @@ pub(crate) fn list(
         }
         let live = live.as_ref().and_then(|live| live.get(at));
         let standing = match (&record.state, live) {
-            (TileState::Done { .. }, _) => Standing::Done,
-            (TileState::SetAside { .. }, _) => Standing::SetAside,
+            (TileState::Done { .. }, _) => TileStatus::Done,
+            (TileState::SetAside { .. }, _) => TileStatus::SetAside,
             (TileState::Open, Some(live)) => live.standing,
-            (TileState::Open, None) => Standing::Waiting,
+            (TileState::Open, None) => TileStatus::Waiting,
         };
         if !wanted.is_empty() && !wanted.contains(&standing) {
             continue;

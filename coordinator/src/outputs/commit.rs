@@ -11,8 +11,8 @@ use sightline_viewcells::{CellBox, Division, TileKind};
 
 use crate::assemble::openness::{self, AnswerError};
 use crate::assemble::result::{expected_nodes, most_items};
-use crate::dispatch::run::do_chores;
-use crate::dispatch::{Chore, tell};
+use crate::dispatch::run::run_follow_ups;
+use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::outputs::presigned;
 use crate::quota::Sender;
@@ -22,7 +22,7 @@ use crate::store::{
     Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult,
     TileStats,
 };
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
 use crate::uploads::spool::{Spool, SpoolError};
 
@@ -34,7 +34,7 @@ pub(crate) const MAX_LIGHT: u64 = 8 << 20;
 
 /// A tile's output as a worker announces it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Announced {
+pub(crate) struct UploadHeader {
     /// The lease under which it was computed.
     pub(crate) lease: Lease,
     /// Its digest.
@@ -165,8 +165,8 @@ pub(crate) enum Weight {
 /// # Errors
 /// [`ResultError`] when the lease was not given, the tile can have no output of this length, or unfinished
 /// uploads have too many bytes.
-pub(crate) fn begin(c: &Coordinator, announced: &Announced) -> Result<Spool, ResultError> {
-    let Admitted { work, counts, .. } = c.lock().machine.admit(&announced.lease)?;
+pub(crate) fn begin(c: &Coordinator, announced: &UploadHeader) -> Result<Spool, ResultError> {
+    let Admitted { work, counts, .. } = c.lock().scheduler.admit(&announced.lease)?;
     if !counts {
         return Err(ResultError::NoLease(announced.lease));
     }
@@ -186,7 +186,7 @@ pub(crate) fn begin(c: &Coordinator, announced: &Announced) -> Result<Spool, Res
 /// # Errors
 /// When the store has no keys to sign with.
 pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address>, BlobError> {
-    let admitted = c.lock().machine.admit(&staged.lease);
+    let admitted = c.lock().scheduler.admit(&staged.lease);
     let most = admitted
         .ok()
         .and_then(|admitted| most_packed(c, &admitted.work, staged.lease).ok());
@@ -229,12 +229,12 @@ fn most_items_of(spec: &JobSpec, scene: Option<&SceneRecord>, kind: TileKind) ->
 /// Checks and commits a tile's output, then does what follows from it.
 pub(crate) fn put(
     c: &Arc<Coordinator>,
-    announced: &Announced,
+    announced: &UploadHeader,
     origin: &Origin<'_>,
     weight: Weight,
 ) -> Result<(), ResultError> {
     let begun = Instant::now();
-    let (result, chores) = match origin {
+    let (result, follow_ups) = match origin {
         Origin::Sent(bytes) => commit(c, announced, bytes, None, weight)?,
         Origin::Staged(staged) => {
             let committed = fetch(c, staged)
@@ -252,14 +252,14 @@ pub(crate) fn put(
         }
     };
     c.metrics.commit_took(begun.elapsed());
-    do_chores(c, chores);
+    run_follow_ups(c, follow_ups);
     result
 }
 
 /// Reads an output that its worker has written into the store of the blobs.
 fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
     // The coordinator reads no output that does not count, or is longer than its tile's can be.
-    let Admitted { work, counts, .. } = c.lock().machine.admit(&staged.lease)?;
+    let Admitted { work, counts, .. } = c.lock().scheduler.admit(&staged.lease)?;
     if !counts {
         return Err(ResultError::NoLease(staged.lease));
     }
@@ -283,7 +283,7 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
 fn check(
     c: &Coordinator,
     work: &Work,
-    announced: &Announced,
+    announced: &UploadHeader,
     bytes: &[u8],
     weight: Weight,
 ) -> Result<u64, ResultError> {
@@ -420,13 +420,13 @@ fn unreached(work: &Work, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
 /// Everything that takes time is done without a lock: the hash, the decoding, the file and the record.
 fn commit(
     c: &Coordinator,
-    announced: &Announced,
+    announced: &UploadHeader,
     bytes: &[u8],
     staged: Option<&Staged>,
     weight: Weight,
-) -> Result<(Result<(), ResultError>, Vec<Chore>), ResultError> {
+) -> Result<(Result<(), ResultError>, Vec<FollowUp>), ResultError> {
     let begun = Begun::now();
-    let &Announced {
+    let &UploadHeader {
         lease,
         digest,
         samples,
@@ -441,7 +441,7 @@ fn commit(
         checks,
         counts,
         ..
-    } = c.lock().machine.admit(&lease)?;
+    } = c.lock().scheduler.admit(&lease)?;
     let cells = check(c, &work, announced, bytes, weight)?;
     if !counts {
         return Err(ResultError::NoLease(lease));
@@ -470,7 +470,7 @@ fn commit(
     // Nor opens tiles again. Until now somebody may have, with those that this one was computed from.
     let Admitted {
         helpers, counts, ..
-    } = c.lock().machine.admit(&lease)?;
+    } = c.lock().scheduler.admit(&lease)?;
     if !counts {
         return Err(ResultError::NoLease(lease));
     }
@@ -517,7 +517,7 @@ fn commit(
                 }
                 let text =
                     format!("tile {tile} is done: {cells} cells, {samples} samples, {millis} ms");
-                c.happened(Happening::of_lease(Kind::Done, &lease, text).on(worker));
+                c.happened(LogEvent::of_lease(Kind::Done, &lease, text).on(worker));
             }
             c.spans
                 .committed(&lease, begun, spans::DONE, &stats, announced.bytes);
@@ -542,11 +542,11 @@ fn commit(
             );
             tracing::error!("{error}");
             c.metrics.conflict();
-            c.happened(Happening::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
+            c.happened(LogEvent::of_lease(Kind::Conflict, &lease, error).on(&stats.worker));
             c.spans
                 .committed(&lease, begun, spans::CONFLICT, &stats, announced.bytes);
             // The lease has ended, whoever made the result that stays.
-            let mut chores = tell(
+            let mut follow_ups = tell(
                 c,
                 Event::Differed {
                     lease,
@@ -558,8 +558,8 @@ fn commit(
                 digest: kept,
                 stats: TileStats::default(),
             };
-            chores.extend(tell(c, event));
-            Ok((Err(ResultError::Conflict), chores))
+            follow_ups.extend(tell(c, event));
+            Ok((Err(ResultError::Conflict), follow_ups))
         }
     }
 }

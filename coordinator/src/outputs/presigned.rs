@@ -39,7 +39,7 @@ pub(crate) fn writing(
     let Some(direct) = c.blobs.direct() else {
         return Ok(None);
     };
-    if staged.bytes > most || !c.lock().machine.is_leased(&staged.lease) {
+    if staged.bytes > most || !c.lock().scheduler.is_leased(&staged.lease) {
         return Ok(None);
     }
     let address = direct.writing(staged)?;

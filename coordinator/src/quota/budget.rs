@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::Beyond;
+use super::LimitExceeded;
 
 /// Maximum size of all unfinished uploads together, in bytes.
 const MAX_UNFINISHED: u64 = 64 << 30;
@@ -63,14 +63,18 @@ impl Budget {
     /// Reserves the bytes that an upload announces.
     ///
     /// # Errors
-    /// [`Beyond::Unfinished`] when all uploads together, the uploads of all users, or the uploads of the user
-    /// would have too many.
-    pub(crate) fn reserve(&self, sender: Sender<'_>, bytes: u64) -> Result<Reserved, Beyond> {
+    /// [`LimitExceeded::Unfinished`] when all uploads together, the uploads of all users, or the uploads of
+    /// the user would have too many.
+    pub(crate) fn reserve(
+        &self,
+        sender: Sender<'_>,
+        bytes: u64,
+    ) -> Result<Reserved, LimitExceeded> {
         let mut held = lock(&self.held);
         let below = |most: u64, before: u64, who: &'static str| {
             let wanted = before.saturating_add(bytes);
             if wanted > most {
-                Err(Beyond::Unfinished { who, most, wanted })
+                Err(LimitExceeded::Unfinished { who, most, wanted })
             } else {
                 Ok(wanted)
             }
@@ -143,7 +147,7 @@ mod tests {
         use Sender::{User, Worker};
         let budget = Budget::new(800);
         let refused = |sender, bytes| match budget.reserve(sender, bytes) {
-            Err(Beyond::Unfinished { who, most, wanted }) => (who, most, wanted),
+            Err(LimitExceeded::Unfinished { who, most, wanted }) => (who, most, wanted),
             other => panic!("{other:?}"),
         };
         let ada = budget.reserve(User("ada"), 60).unwrap();

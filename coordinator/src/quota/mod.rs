@@ -12,14 +12,14 @@ mod usage;
 
 pub(crate) use self::budget::{Budget, Reserved, Sender};
 pub(crate) use self::intake::{Intake, Room};
-pub(crate) use self::pace::{Pace, Permit};
+pub(crate) use self::pace::{Permit, RateLimiter};
 pub use self::quota::{Quota, QuotaError, Quotas, bytes};
 pub(crate) use self::turns::{Turn, Turns};
 pub(crate) use self::usage::{Usage, usage};
 
 /// Something that a user may not have or do any more.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Beyond {
+pub enum LimitExceeded {
     /// A quota.
     #[error(
         "{user} may have {most} {what}, and would have {wanted}; delete some, or ask an admin for more"
@@ -75,7 +75,7 @@ pub enum Beyond {
     },
 }
 
-impl Beyond {
+impl LimitExceeded {
     /// The name of the limit, as the metrics have it.
     pub(crate) fn name(&self) -> &'static str {
         match self {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-use super::{Beyond, Quota};
+use super::{LimitExceeded, Quota};
 
 /// Calls of everybody at a time: what a watcher costs, times this, must fit into memory.
 const MOST_CALLS: u32 = 16_384;
@@ -15,7 +15,7 @@ const MOST_USERS: usize = 4096;
 
 /// Who calls how often.
 #[derive(Debug, Default)]
-pub(crate) struct Pace(Arc<Mutex<Calls>>);
+pub(crate) struct RateLimiter(Arc<Mutex<Calls>>);
 
 #[derive(Debug, Default)]
 struct Calls {
@@ -50,20 +50,20 @@ impl Drop for Permit {
     }
 }
 
-impl Pace {
+impl RateLimiter {
     /// Begins a call of a user, of nobody if the name is empty. Only users have quotas.
     ///
     /// # Errors
-    /// [`Beyond`] when there are too many.
+    /// [`LimitExceeded`] when there are too many.
     pub(crate) fn begin(
         &self,
         user: &str,
         quota: Option<&Quota>,
         now: Instant,
-    ) -> Result<Permit, Beyond> {
+    ) -> Result<Permit, LimitExceeded> {
         let mut calls = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if calls.all >= MOST_CALLS {
-            return Err(Beyond::Calls {
+            return Err(LimitExceeded::Calls {
                 who: "all together".to_owned(),
                 most: MOST_CALLS,
             });
@@ -82,7 +82,7 @@ impl Pace {
 }
 
 impl Calls {
-    fn count(&mut self, user: &str, quota: &Quota, now: Instant) -> Result<(), Beyond> {
+    fn count(&mut self, user: &str, quota: &Quota, now: Instant) -> Result<(), LimitExceeded> {
         if self.of.len() >= MOST_USERS && !self.of.contains_key(user) {
             self.of.retain(|_, account| account.open > 0);
         }
@@ -96,14 +96,14 @@ impl Calls {
             let saved = now.saturating_duration_since(account.at).as_secs_f64() * f64::from(rate);
             (account.left, account.at) = ((account.left + saved).min(most), now);
             if account.left < 1.0 {
-                return Err(Beyond::Rate {
+                return Err(LimitExceeded::Rate {
                     user: user.to_owned(),
                     most: rate,
                 });
             }
         }
         if let Some(most) = quota.calls.filter(|most| account.open >= *most) {
-            return Err(Beyond::Calls {
+            return Err(LimitExceeded::Calls {
                 who: user.to_owned(),
                 most,
             });
@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_user_who_calls_too_often_waits_and_others_do_not() {
-        let (pace, now) = (Pace::default(), Instant::now());
+        let (pace, now) = (RateLimiter::default(), Instant::now());
         let quota = Quota {
             requests: Some(10),
             calls: None,
@@ -134,7 +134,7 @@ mod tests {
         }
         assert_eq!(
             call("ada", now),
-            Err(Beyond::Rate {
+            Err(LimitExceeded::Rate {
                 user: "ada".to_owned(),
                 most: 10
             })
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn open_calls_are_counted_until_they_end() {
-        let (pace, now) = (Pace::default(), Instant::now());
+        let (pace, now) = (RateLimiter::default(), Instant::now());
         let quota = Quota {
             requests: None,
             calls: Some(2),
@@ -161,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_million_watchers_are_refused_before_they_cost_anything() {
-        let (pace, now) = (Pace::default(), Instant::now());
+        let (pace, now) = (RateLimiter::default(), Instant::now());
         let open: Vec<_> = (0..1_000_000)
             .map_while(|_| pace.begin("", None, now).ok())
             .collect();
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn those_without_a_quota_are_not_counted_among_those_without_a_name() {
-        let (pace, now) = (Pace::default(), Instant::now());
+        let (pace, now) = (RateLimiter::default(), Instant::now());
         drop(pace.begin("", Some(&Quota::default()), now).unwrap());
         drop(pace.begin("", None, now).unwrap());
         assert_eq!(pace.0.lock().unwrap().of[""].open, 0);
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn users_without_calls_are_forgotten_in_the_end() {
-        let (pace, now) = (Pace::default(), Instant::now());
+        let (pace, now) = (RateLimiter::default(), Instant::now());
         for n in 0..3 * MOST_USERS {
             drop(
                 pace.begin(&format!("user {n}"), Some(&Quota::default()), now)

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::oneshot;
 
-use super::Beyond;
+use super::LimitExceeded;
 
 /// Maximum number of requests of a user that wait.
 const MAX_WAITING: usize = 64;
@@ -52,8 +52,8 @@ impl Turns {
     /// Waits for the turn of a user. A request that is no longer wanted leaves the queue.
     ///
     /// # Errors
-    /// [`Beyond::Waiting`] when the user has too many requests in the queue.
-    pub(crate) async fn take(&self, user: &str) -> Result<Turn, Beyond> {
+    /// [`LimitExceeded::Waiting`] when the user has too many requests in the queue.
+    pub(crate) async fn take(&self, user: &str) -> Result<Turn, LimitExceeded> {
         let granted = {
             let mut queue = self.queue();
             if !queue.is_busy {
@@ -76,8 +76,8 @@ impl Turns {
         granted.await.map_err(|_| self.beyond(user))
     }
 
-    fn beyond(&self, user: &str) -> Beyond {
-        Beyond::Waiting {
+    fn beyond(&self, user: &str) -> LimitExceeded {
+        LimitExceeded::Waiting {
             user: user.to_owned(),
             most: u32::try_from(self.most_waiting).unwrap_or(u32::MAX),
         }
@@ -131,7 +131,7 @@ mod tests {
 
     use super::*;
 
-    type Waiting<'a> = Pin<Box<dyn Future<Output = Result<Turn, Beyond>> + Send + 'a>>;
+    type Waiting<'a> = Pin<Box<dyn Future<Output = Result<Turn, LimitExceeded>> + Send + 'a>>;
 
     /// Returns the turn if it has come.
     fn come(waiting: &mut Waiting<'_>) -> Option<Turn> {
@@ -179,7 +179,7 @@ mod tests {
         // Requests that have gone do not count for the bound of a user.
         assert!(matches!(
             turns.take("eve").now_or_never(),
-            Some(Err(Beyond::Waiting { .. }))
+            Some(Err(LimitExceeded::Waiting { .. }))
         ));
         let mut ada = wait(&turns, "ada");
         drop(gone);

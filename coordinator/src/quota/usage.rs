@@ -1,6 +1,6 @@
 //! What a user has, counted from the store's records.
 
-use super::{Beyond, Quota};
+use super::{LimitExceeded, Quota};
 use crate::jobs::stored_spec;
 use crate::store::{JobState, Store, StoreError};
 
@@ -52,8 +52,8 @@ impl Usage {
     /// Whether a user may have this.
     ///
     /// # Errors
-    /// [`Beyond::Quota`] with the first thing that is too much.
-    pub(crate) fn within(self, quota: &Quota, user: &str) -> Result<(), Beyond> {
+    /// [`LimitExceeded::Quota`] with the first thing that is too much.
+    pub(crate) fn within(self, quota: &Quota, user: &str) -> Result<(), LimitExceeded> {
         let of = [
             ("bytes", self.bytes, quota.bytes),
             ("scenes", self.scenes, quota.scenes),
@@ -62,7 +62,7 @@ impl Usage {
         ];
         for (what, wanted, most) in of {
             if let Some(most) = most.filter(|most| wanted > *most) {
-                return Err(Beyond::Quota {
+                return Err(LimitExceeded::Quota {
                     user: user.to_owned(),
                     what,
                     most,

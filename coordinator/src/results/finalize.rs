@@ -7,22 +7,22 @@ use std::sync::Arc;
 
 use sightline_traces::Begun;
 
-use crate::assemble::result::{AssembleError, Parts, assemble};
-use crate::dispatch::{Chore, tell};
+use crate::assemble::result::{AssembleError, AssemblyInput, assemble};
+use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::jobs::suspend;
 use crate::scheduler::{Event, Output};
-use crate::state::{Coordinator, Lacks};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// A complete job, copied from the scheduler.
-fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
+fn parts(c: &Coordinator, id: JobId) -> Option<AssemblyInput> {
     let scheduling = c.lock();
-    let job = scheduling.machine.job(id)?;
-    Some(Parts {
+    let job = scheduling.scheduler.job(id)?;
+    Some(AssemblyInput {
         work: Arc::clone(&job.work),
         profile: job.record.profile.clone().unwrap_or_default(),
         outputs: job.tiles.iter().map(|t| t.output).collect(),
@@ -31,7 +31,7 @@ fn parts(c: &Coordinator, id: JobId) -> Option<Parts> {
 }
 
 /// Assembles a job's result and ends the job.
-pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
+pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<FollowUp> {
     // Absent when it was cancelled in the meantime.
     let Some(parts) = parts(c, id) else {
         return Vec::new();
@@ -61,13 +61,13 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
             }
         }
     };
-    // Until the machine has heard of the end.
+    // Until the scheduler has heard of the end.
     let turn = c.turn();
     let now = retention_stamp::end_time(c);
     // Tiles may have been opened again, or computed again, while the result was assembled.
     let now_there = c
         .lock()
-        .machine
+        .scheduler
         .job(id)
         .map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
     if now_there.as_ref() != Some(&parts.outputs) {
@@ -103,7 +103,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
         }
     };
     if let JobState::Failed { reason } = &record.state {
-        c.happened(Happening::of_job(
+        c.happened(LogEvent::of_job(
             Kind::Job,
             id,
             format!("the job has failed: {reason}"),
@@ -111,34 +111,39 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<Chore> {
     }
     if let JobState::Done { bytes, .. } = record.state {
         tracing::info!("job {id} is done, {bytes} bytes");
-        c.happened(Happening::of_job(
+        c.happened(LogEvent::of_job(
             Kind::Job,
             id,
             format!("the job is done, {bytes} bytes"),
         ));
     }
     let done = matches!(record.state, JobState::Done { .. });
-    let chores = tell(c, Event::JobChanged(Box::new(record)));
+    let follow_ups = tell(c, Event::JobChanged(Box::new(record)));
     drop(turn);
     if done && parts.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
         tidy(c, id, &parts.outputs);
     }
-    chores
+    follow_ups
 }
 
 /// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
 /// the job waits until somebody sends them.
-fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> Vec<Chore> {
-    if let Some(chores) = compute_again(c, id, &parts.outputs, e) {
-        return chores;
+fn do_without(
+    c: &Coordinator,
+    id: JobId,
+    parts: &AssemblyInput,
+    e: &AssembleError,
+) -> Vec<FollowUp> {
+    if let Some(follow_ups) = compute_again(c, id, &parts.outputs, e) {
+        return follow_ups;
     }
     let spec = &parts.work.spec;
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     let receivers = spec
         .ambient
         .as_ref()
-        .map(|ambient| Lacks::Receivers(ambient.receivers));
-    for lacks in [Some(Lacks::Scene(spec.scene)), receivers]
+        .map(|ambient| MissingBlob::Receivers(ambient.receivers));
+    for lacks in [Some(MissingBlob::Scene(spec.scene)), receivers]
         .into_iter()
         .flatten()
     {
@@ -152,11 +157,11 @@ fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> V
         // Workers that have it do not ask for it, so this may be the first to find it lost.
         match suspend::lost(c, lacks, &e.to_string()) {
             Ok((waiting, more)) => {
-                chores.extend(more);
+                follow_ups.extend(more);
                 if waiting.contains(&id) {
                     // Assembled once it goes on, which it may do already.
-                    chores.extend(tell(c, Event::AssemblyDropped(id)));
-                    return chores;
+                    follow_ups.extend(tell(c, Event::AssemblyDropped(id)));
+                    return follow_ups;
                 }
             }
             Err(e) => tracing::error!("job {id} cannot be paused yet: {e}"),
@@ -164,8 +169,8 @@ fn do_without(c: &Coordinator, id: JobId, parts: &Parts, e: &AssembleError) -> V
     }
     // It is there again, or the job could not be paused, or the disk cannot read it every time.
     tracing::error!("the result of job {id} waits and is tried again: {e}");
-    chores.extend(tell(c, Event::AssemblyWaits(id)));
-    chores
+    follow_ups.extend(tell(c, Event::AssemblyWaits(id)));
+    follow_ups
 }
 
 /// Opens the tiles again whose stored outputs are lost; `None` when none are.
@@ -174,7 +179,7 @@ fn compute_again(
     id: JobId,
     outputs: &[Output],
     e: &AssembleError,
-) -> Option<Vec<Chore>> {
+) -> Option<Vec<FollowUp>> {
     let lost = |output: &Output| {
         let digest = output.digest()?;
         c.blobs
@@ -205,12 +210,12 @@ fn compute_again(
             }
         }
     }
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     let tiles = lost.iter().map(|(tile, _)| *tile).collect();
     // Their dependents were computed from what was there.
-    let opened = invalidate::open(c, id, tiles, &mut chores);
+    let opened = invalidate::open(c, id, tiles, &mut follow_ups);
     match opened {
-        Ok(_) => Some(chores),
+        Ok(_) => Some(follow_ups),
         Err(StoreError::UnknownJob { .. }) => Some(tell(c, Event::AssemblyDropped(id))),
         Err(e) => {
             tracing::error!("job {id} cannot be continued yet: {e}");
@@ -225,10 +230,10 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
     // No output is committed meanwhile, so none that is committed is removed.
     let _alone = c.no_commits();
     let mut free: BTreeSet<Digest> = outputs.iter().filter_map(Output::digest).collect();
-    let ids = c.lock().machine.job_ids();
+    let ids = c.lock().scheduler.job_ids();
     for id in ids {
         // Job by job, so that heartbeats get the lock in between.
-        if let Some(job) = c.lock().machine.job(id) {
+        if let Some(job) = c.lock().scheduler.job(id) {
             job.tiles
                 .iter()
                 .filter_map(|t| t.output.digest())

@@ -3,10 +3,10 @@
 use std::io::{self, Write};
 use std::sync::{Arc, PoisonError};
 
-use crate::assemble::result::{AssembleError, Parts, write};
+use crate::assemble::result::{AssembleError, AssemblyInput, write};
 use crate::ids::{Digest, JobId};
 use crate::jobs::stored_spec;
-use crate::kept::Made;
+use crate::kept::CachedPartial;
 use crate::scheduler::{Job, Output};
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobState, StoreError};
@@ -91,7 +91,7 @@ pub(crate) fn so_far(
     {
         return Ok(Arc::clone(&made.bytes));
     }
-    let parts = Parts {
+    let parts = AssemblyInput {
         work: Arc::clone(&job.work),
         profile,
         outputs,
@@ -114,7 +114,7 @@ pub(crate) fn so_far(
         });
     }
     let bytes: Arc<[u8]> = made.bytes.into();
-    last.0 = Some(Made {
+    last.0 = Some(CachedPartial {
         job: id,
         of: names,
         bytes: Arc::clone(&bytes),

@@ -10,7 +10,7 @@ use sightline_scene::{Scene, SceneError};
 use crate::ids::JobId;
 use crate::jobs::control::{self, JobError};
 use crate::jobs::stored_spec;
-use crate::kept::Answers;
+use crate::kept::SceneQueries;
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobRecord};
 use crate::telemetry::metrics::Cache;
@@ -206,7 +206,7 @@ pub(crate) fn measure(
         .map_err(AskError::Unable)
 }
 
-fn answers(c: &Coordinator) -> Result<&dyn Answers, AskError> {
+fn answers(c: &Coordinator) -> Result<&dyn SceneQueries, AskError> {
     let none = || {
         AskError::Unable(
             "the program that this coordinator is in answers no such questions".to_owned(),

@@ -1,6 +1,6 @@
 //! How many tiles of each job are where: for the metrics.
 
-use super::machine::Machine;
+use super::state::Scheduler;
 use crate::store::JobPhase;
 
 /// A job that has not ended.
@@ -18,7 +18,7 @@ pub(crate) struct Counts {
     pub(crate) waiting: u32,
 }
 
-impl Machine {
+impl Scheduler {
     /// The jobs that have not ended. Costs the same for each job, however many tiles it has.
     pub(crate) fn counts(&self) -> Vec<Counts> {
         let counts = self.jobs.values().map(|job| {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::pools::Profile;
-use super::queue::For;
+use super::queue::QueueKey;
 use crate::ids::{Lease, WorkerId};
 
 /// A leased tile whose leader can use helpers.
@@ -12,7 +12,7 @@ pub(super) struct Crew {
     pub(super) lease: Lease,
     pub(super) profile: Profile,
     /// The user and priority of its job.
-    pub(super) whom: For,
+    pub(super) whom: QueueKey,
     /// Workers that were sent and have not come back, and when they were sent.
     pub(super) helpers: BTreeMap<WorkerId, u64>,
 }

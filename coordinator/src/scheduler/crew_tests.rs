@@ -1,7 +1,7 @@
 //! Who helps whom: two tiles, more workers.
 
 use super::event::Event;
-use super::messages::Order;
+use super::messages::WorkerCommand;
 use super::tests::{Bench, two_tiles};
 use crate::ids::{Lease, WorkerId};
 
@@ -9,7 +9,7 @@ use crate::ids::{Lease, WorkerId};
 fn helps(b: &Bench, worker: WorkerId) -> Vec<Lease> {
     let told = b.told.get(&worker).into_iter().flatten();
     told.filter_map(|o| {
-        if let Order::Help(help) = o {
+        if let WorkerCommand::Help(help) = o {
             Some(help.lease)
         } else {
             None
@@ -81,12 +81,12 @@ fn a_helper_that_gets_a_tile_is_called_back_first() {
     b.step(Event::Drains(other));
     b.fail(other, two, true);
     b.wait(3);
-    let tail: Vec<&Order> = b.told[&helper].iter().rev().take(2).collect();
+    let tail: Vec<&WorkerCommand> = b.told[&helper].iter().rev().take(2).collect();
     assert!(
-        matches!(tail[0], Order::Grant(grant) if grant.lease.tile == two.tile),
+        matches!(tail[0], WorkerCommand::Grant(grant) if grant.lease.tile == two.tile),
         "{tail:?}"
     );
-    assert_eq!(tail[1], &Order::Revoke(one));
+    assert_eq!(tail[1], &WorkerCommand::Revoke(one));
     b.step(Event::Helped(helper, one));
     assert_eq!(helps(&b, helper), [one], "it has a tile of its own");
     b.leave(leader);

@@ -8,13 +8,13 @@ use std::collections::BTreeMap;
 
 use super::crew::Crew;
 use super::event::Effect;
-use super::machine::Machine;
-use super::messages::{Help, Now, Order};
+use super::messages::{Help, Now, WorkerCommand};
 use super::pools::Profile;
-use super::spot::Name;
+use super::spot_check::Name;
+use super::state::Scheduler;
 use crate::ids::{Lease, LeaseId, WorkerId};
 
-impl Machine {
+impl Scheduler {
     /// Whether a tile is leased under this lease.
     pub(crate) fn is_leased(&self, lease: &Lease) -> bool {
         self.leases
@@ -75,7 +75,7 @@ impl Machine {
             // Where the leader hangs, nobody else tells them.
             for (helper, since) in crew.helpers {
                 self.effects
-                    .push(Effect::Tell(helper, Order::Revoke(crew.lease)));
+                    .push(Effect::Tell(helper, WorkerCommand::Revoke(crew.lease)));
                 self.discharge(crew.lease.job, since);
             }
             self.pools.tidy(&crew.profile);
@@ -186,7 +186,7 @@ impl Machine {
         };
         if let Some(earlier) = self.workers.get(&worker).and_then(|w| w.helps) {
             self.effects
-                .push(Effect::Tell(worker, Order::Revoke(earlier)));
+                .push(Effect::Tell(worker, WorkerCommand::Revoke(earlier)));
             self.has_left(earlier.id, worker);
         }
         let Some(lease) = self.crews.get(&id).map(|crew| crew.lease) else {
@@ -201,7 +201,7 @@ impl Machine {
             profile: profile.to_string(),
         };
         self.effects
-            .push(Effect::Tell(worker, Order::Help(Box::new(help))));
+            .push(Effect::Tell(worker, WorkerCommand::Help(Box::new(help))));
         if let Some(w) = self.workers.get_mut(&worker) {
             w.helps = Some(lease);
         }
@@ -240,7 +240,7 @@ impl Machine {
     pub(super) fn call_back(&mut self, worker: WorkerId) {
         if let Some(lease) = self.workers.get(&worker).and_then(|w| w.helps) {
             self.effects
-                .push(Effect::Tell(worker, Order::Revoke(lease)));
+                .push(Effect::Tell(worker, WorkerCommand::Revoke(lease)));
         }
     }
 }

@@ -26,7 +26,7 @@ fn failed_on(b: &Bench, tile: u32) -> Vec<String> {
 
 fn is_set_aside(b: &Bench, tile: u32) -> bool {
     matches!(
-        b.machine.job(JOB).unwrap().tiles[tile as usize].output,
+        b.scheduler.job(JOB).unwrap().tiles[tile as usize].output,
         Output::SetAside(_)
     )
 }
@@ -94,7 +94,7 @@ fn worker_that_returns_in_time_is_not_dead() {
     b.wait(5);
     assert!(failed_on(&b, 0).is_empty());
     // A worker that has finished the tile in the meantime does not name it.
-    let worker = *b.machine.workers.keys().next().unwrap();
+    let worker = *b.scheduler.workers.keys().next().unwrap();
     b.leave(worker);
     b.wait(1);
     b.try_join("a", 1, Vec::new()).unwrap();
@@ -117,7 +117,7 @@ fn late_return_cancels_death() {
         b.leave(worker);
     }
     assert!(!is_set_aside(&b, 0));
-    assert!(b.machine.job(JOB).unwrap().tiles[0].deaths.is_empty());
+    assert!(b.scheduler.job(JOB).unwrap().tiles[0].deaths.is_empty());
 }
 
 #[test]
@@ -232,7 +232,7 @@ fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
     b.leave(worker);
     b.wait(3);
     b.try_join("a", 1, Vec::new()).unwrap();
-    let Some(Command::CountDeath {
+    let Some(StoreCommand::CountDeath {
         job,
         tile,
         worker,
@@ -251,7 +251,7 @@ fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
         dead: Some(worker),
     });
     assert!(failed_on(&b, 0).is_empty());
-    assert!(b.machine.recording.is_empty());
+    assert!(b.scheduler.recording.is_empty());
     // No verdict holds the tile back.
     let next = start(&mut b, "b", 2, 1);
     assert_eq!(b.holders()[0], Some(next));

@@ -6,9 +6,9 @@
 //! counts, so that tiles fetched in advance are not blamed.
 
 use super::death::{Death, DeathOf, Missing};
-use super::event::{Command, Effect, Note};
+use super::event::{Effect, Note, StoreCommand};
 use super::job::Output;
-use super::machine::{Machine, Worker};
+use super::state::{Scheduler, Worker};
 use crate::ids::{Lease, LeaseId, WorkerId};
 
 /// Maximum number of deaths that can be cancelled; the scheduler forgets the oldest ones first.
@@ -16,7 +16,7 @@ const MAX_DEATHS: usize = 4096;
 /// The reason that is kept with a tile.
 const REASON: &str = "the worker ended without a word while it held the tile";
 
-impl Machine {
+impl Scheduler {
     /// Notes that the stream of a worker that did not drain has ended.
     pub(super) fn miss(&mut self, id: WorkerId, worker: &Worker) {
         let (name, instance) = (worker.name.clone(), worker.instance);
@@ -67,7 +67,7 @@ impl Machine {
             let Some(missing) = self.missing.remove(&id) else {
                 continue;
             };
-            let theirs = |(_, l): &(&LeaseId, &super::machine::Leased)| l.worker == id;
+            let theirs = |(_, l): &(&LeaseId, &super::state::Leased)| l.worker == id;
             let leases: Vec<LeaseId> = self
                 .leases
                 .iter()
@@ -122,7 +122,7 @@ impl Machine {
         self.note(Note::Died(lease, name.clone()));
         self.recording.insert((id, tile, name.clone()), false);
         let reason = REASON.to_owned();
-        self.effects.push(Effect::Run(Command::CountDeath {
+        self.effects.push(Effect::Run(StoreCommand::CountDeath {
             job: id,
             tile,
             worker: name,
@@ -141,7 +141,7 @@ impl Machine {
         }
         let (id, tile, worker) = of;
         let reason = REASON.to_owned();
-        self.effects.push(Effect::Run(Command::CancelDeath {
+        self.effects.push(Effect::Run(StoreCommand::CancelDeath {
             job: id,
             tile,
             worker,
@@ -192,7 +192,7 @@ impl Machine {
                 continue;
             }
             let (worker, reason) = (of.2, REASON.to_owned());
-            self.effects.push(Effect::Run(Command::CancelDeath {
+            self.effects.push(Effect::Run(StoreCommand::CancelDeath {
                 job: id,
                 tile,
                 worker,

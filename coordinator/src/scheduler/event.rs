@@ -1,12 +1,12 @@
-//! What the machine is told, and what it wants done.
+//! What the scheduler is told, and what it wants done.
 //!
 //! An [`Event`] has happened already. An [`Effect`] is to be carried out by the caller, in the order of the
-//! list; the outcome of a [`Command`] comes back as a later event.
+//! list; the outcome of a [`StoreCommand`] comes back as a later event.
 
 use std::sync::Arc;
 
 use super::job::{Job, Work};
-use super::messages::{Introduction, Joined, NameTaken, Order, ProfileTime, Progress};
+use super::messages::{Introduction, Joined, NameTaken, ProfileTime, Progress, WorkerCommand};
 use crate::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
 use crate::store::{JobRecord, TileStats};
 
@@ -79,8 +79,8 @@ pub(crate) enum Event {
     DiskFull(Lease),
     /// An order with a lease could not be sent to its worker.
     Undelivered(WorkerId, Lease),
-    /// [`Command::Fail`] or [`Command::CountDeath`] is done: the tile has failed on this many different
-    /// workers.
+    /// [`StoreCommand::Fail`] or [`StoreCommand::CountDeath`] is done: the tile has failed on this many
+    /// different workers.
     FailureRecorded {
         /// The job.
         job: JobId,
@@ -93,7 +93,7 @@ pub(crate) enum Event {
         /// The worker whose death the failure is; `None` for other failures.
         dead: Option<String>,
     },
-    /// A tile of [`Command::SetAside`] has a stand-in in the store.
+    /// A tile of [`StoreCommand::SetAside`] has a stand-in in the store.
     SetAside {
         /// The job.
         job: JobId,
@@ -102,10 +102,10 @@ pub(crate) enum Event {
         /// Digest of the stand-in.
         digest: Digest,
     },
-    /// [`Command::Bind`] is done; the store may have known another profile.
+    /// [`StoreCommand::Bind`] is done; the store may have known another profile.
     Bound(JobId, String),
     /// The store refused a command.
-    Refused(Command),
+    Refused(StoreCommand),
     /// The result of a job cannot be written for now.
     AssemblyWaits(JobId),
     /// The result of a job is not needed for now: it was paused, or has ended.
@@ -133,7 +133,7 @@ pub(crate) enum Departure {
 
 /// A change of the store. Each runs outside of any lock and ends with an event.
 #[derive(Clone, Debug)]
-pub(crate) enum Command {
+pub(crate) enum StoreCommand {
     /// Bind a job to a profile: [`Event::Bound`].
     Bind(JobId, String),
     /// Move a queued job to running: [`Event::JobChanged`].
@@ -240,9 +240,9 @@ pub(crate) enum Note {
 #[derive(Debug)]
 pub(crate) enum Effect {
     /// Send an order to a worker.
-    Tell(WorkerId, Order),
+    Tell(WorkerId, WorkerCommand),
     /// Change the store.
-    Run(Command),
+    Run(StoreCommand),
     /// Assemble the result of a job whose tiles are complete.
     Assemble(JobId),
     /// Tell the watchers of a job.

@@ -1,9 +1,9 @@
 //! Tiles that fail: back-off after faults of machines and networks, and tiles that are set aside.
 
-use super::event::{Command, Effect, Failure, Note};
+use super::event::{Effect, Failure, Note, StoreCommand};
 use super::job::Output;
-use super::machine::{Machine, Timer};
 use super::messages::Now;
+use super::state::{Scheduler, Timer};
 use crate::ids::{JobId, Lease, TileIndex, WorkerId};
 
 /// Different workers that a tile must fail on before it is set aside.
@@ -16,7 +16,7 @@ const MAX_FAULTS: u32 = 12;
 /// most.
 const MOST_DOUBLINGS: u32 = 6;
 
-impl Machine {
+impl Scheduler {
     /// Counts a tile's failure.
     pub(super) fn failed(&mut self, worker: WorkerId, failure: Failure, now: Now) {
         let Failure {
@@ -59,7 +59,7 @@ impl Machine {
             }
         }
         if !std::mem::replace(&mut t.judged, true) {
-            self.effects.push(Effect::Run(Command::Fail {
+            self.effects.push(Effect::Run(StoreCommand::Fail {
                 job: id,
                 tile,
                 worker: name,
@@ -117,7 +117,7 @@ impl Machine {
                 _ => format!("tile {tile} failed on {on} workers: {reason}"),
             };
             let work = std::sync::Arc::clone(&job.work);
-            self.effects.push(Effect::Run(Command::SetAside {
+            self.effects.push(Effect::Run(StoreCommand::SetAside {
                 job: id,
                 work,
                 tiles,

@@ -1,7 +1,7 @@
 //! A job that has not ended: its tiles, which of them are ready, and its totals.
 //!
-//! The totals are kept beside the tiles and changed with them; `checks.rs` counts them again. Nothing here
-//! knows of workers.
+//! The totals are kept beside the tiles and changed with them; `invariants.rs` counts them again. Nothing
+//! here knows of workers.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -12,10 +12,10 @@ use sightline_proto::v1;
 use sightline_viewcells::{Lattice, Plan, TileKind};
 
 use super::messages::Now;
-use super::pace::Pace;
-use super::pools::{List, Place};
-use super::queue::For;
-use super::spot::{Name, Spot};
+use super::pools::{List, QueuePosition};
+use super::progress_rate::ProgressRate;
+use super::queue::QueueKey;
+use super::spot_check::{Name, SpotCheck};
 use crate::ids::{Digest, Epoch, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats, owned_key};
 
@@ -48,7 +48,7 @@ impl Output {
     }
 }
 
-/// A tile as the machine sees it.
+/// A tile as the scheduler sees it.
 #[derive(Clone, Debug)]
 pub(crate) struct Tile {
     pub(crate) output: Output,
@@ -98,7 +98,7 @@ pub(crate) struct Job {
     pub(crate) record: JobRecord,
     pub(crate) work: Arc<Work>,
     /// Whose it is, and how urgent.
-    pub(super) whom: For,
+    pub(super) whom: QueueKey,
     pub(crate) tiles: Vec<Tile>,
     /// The tiles that need a tile: `dependents[first[t]..first[t + 1]]`.
     dependents: Vec<u32>,
@@ -126,7 +126,7 @@ pub(crate) struct Job {
     /// Tiles that were done when the job was taken up and that nobody has computed again.
     pub(super) unchecked: Vec<(TileIndex, Digest)>,
     /// Done tiles that are to be checked.
-    pub(super) spots: BTreeMap<TileIndex, Spot>,
+    pub(super) spots: BTreeMap<TileIndex, SpotCheck>,
     pub(super) parked: Option<Parked>,
     /// How often timing gave no usable backend.
     pub(super) timing_faults: u32,
@@ -138,7 +138,7 @@ pub(crate) struct Job {
     pub(super) assembling: bool,
     /// When to assemble the result again, after the disk was full.
     pub(super) no_space_until: Option<u64>,
-    pub(super) pace: Pace,
+    pub(super) pace: ProgressRate,
     /// The list that the job is in, and its ready tiles there.
     pub(super) listed: Option<(List, usize)>,
 }
@@ -236,7 +236,7 @@ impl Job {
             grace: false,
             assembling: false,
             no_space_until: None,
-            pace: Pace::default(),
+            pace: ProgressRate::default(),
             listed: None,
         };
         for tile in tiles {
@@ -285,7 +285,7 @@ impl Job {
     }
 
     /// Its place in lists that know no users.
-    pub(super) fn place(&self) -> Place {
+    pub(super) fn place(&self) -> QueuePosition {
         (self.whom.priority, self.record.id)
     }
 
@@ -458,8 +458,8 @@ impl Job {
 }
 
 /// The user and priority of a record.
-pub(super) fn whom(record: &JobRecord) -> For {
-    For {
+pub(super) fn whom(record: &JobRecord) -> QueueKey {
+    QueueKey {
         user: record.user.as_str().into(),
         priority: Reverse(record.priority),
     }

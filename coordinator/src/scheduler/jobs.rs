@@ -4,11 +4,11 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use super::event::{Command, Effect, Note};
+use super::event::{Effect, Note, StoreCommand};
 use super::job::{Job, Output};
-use super::machine::{Machine, SPACE_EVERY, Timer};
 use super::messages::Now;
 use super::queue::User;
+use super::state::{SPACE_EVERY, Scheduler, Timer};
 use crate::ids::{Digest, Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileStats};
 
@@ -17,7 +17,7 @@ use crate::store::{JobPhase, JobRecord, TileStats};
 /// before the next one.
 pub(super) const GRACE: u64 = 2500;
 
-impl Machine {
+impl Scheduler {
     /// Adds a job with the recorded states of its tiles.
     pub(super) fn take_up(&mut self, mut job: Job, now: Now) {
         let id = job.record.id;
@@ -69,7 +69,7 @@ impl Machine {
             Arc::clone(&job.work),
             "a tile that it needs was set aside".to_owned(),
         );
-        self.effects.push(Effect::Run(Command::SetAside {
+        self.effects.push(Effect::Run(StoreCommand::SetAside {
             job: id,
             work,
             tiles,
@@ -268,19 +268,19 @@ impl Machine {
     }
 
     /// The store refused a command. Whatever waited for it is as before, and no tiles are leased for a while.
-    pub(super) fn refused(&mut self, command: Command, now: Now) {
+    pub(super) fn refused(&mut self, command: StoreCommand, now: Now) {
         let id = match command {
-            Command::Bind(id, _) | Command::Start(id) | Command::FailJob(id, _) => {
+            StoreCommand::Bind(id, _) | StoreCommand::Start(id) | StoreCommand::FailJob(id, _) => {
                 if let Some(job) = self.jobs.get_mut(&id) {
                     job.pending = false;
                 }
                 id
             }
-            Command::Fail { job: id, tile, .. } => {
+            StoreCommand::Fail { job: id, tile, .. } => {
                 self.unjudge(id, tile, now);
                 id
             }
-            Command::CountDeath {
+            StoreCommand::CountDeath {
                 job: id,
                 tile,
                 worker,
@@ -291,15 +291,15 @@ impl Machine {
                 id
             }
             // The tile keeps a failure too many.
-            Command::CancelDeath { job: id, .. } => id,
+            StoreCommand::CancelDeath { job: id, .. } => id,
             // That nobody knows of the agreement makes later suspicions wider, and nothing wrong.
-            Command::Confirm { job: id, .. } => id,
-            Command::Quarantine { .. } => {
+            StoreCommand::Confirm { job: id, .. } => id,
+            StoreCommand::Quarantine { .. } => {
                 self.unsaid.push(command);
                 self.pause_leasing(now);
                 return;
             }
-            Command::SetAside { job: id, tiles, .. } => {
+            StoreCommand::SetAside { job: id, tiles, .. } => {
                 for tile in tiles {
                     self.unjudge(id, tile, now);
                 }
@@ -327,7 +327,8 @@ impl Machine {
     pub(super) fn fail_job(&mut self, id: JobId, reason: String) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.pending = true;
-            self.effects.push(Effect::Run(Command::FailJob(id, reason)));
+            self.effects
+                .push(Effect::Run(StoreCommand::FailJob(id, reason)));
         }
     }
 }

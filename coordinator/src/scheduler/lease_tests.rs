@@ -12,7 +12,7 @@ fn only_a_lease_that_was_given_counts() {
     let one = b.join("a");
     b.want(one, 1);
     let lease = b.grants(one)[0];
-    assert!(b.machine.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts);
     let other = |tile, number| {
         let id = LeaseId {
             epoch: Epoch(1),
@@ -24,7 +24,7 @@ fn only_a_lease_that_was_given_counts() {
             id,
         }
     };
-    let why = |l: Lease| b.machine.admit(&l).map(|a| a.counts);
+    let why = |l: Lease| b.scheduler.admit(&l).map(|a| a.counts);
     assert_eq!(why(other(1, lease.id.number)), Ok(false), "another tile");
     assert_eq!(
         why(other(0, lease.id.number + 1)),
@@ -57,7 +57,7 @@ fn only_a_lease_that_was_given_counts() {
     b.leave(one);
     b.wait(5);
     assert_eq!(b.holders(), [None, None]);
-    assert!(b.machine.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts);
 }
 
 #[test]
@@ -155,7 +155,7 @@ fn a_tile_that_fails_on_three_workers_is_set_aside() {
         b.step(Event::Drains(worker));
         b.leave(worker);
     }
-    let job = b.machine.job(JobId(1)).unwrap();
+    let job = b.scheduler.job(JobId(1)).unwrap();
     assert_eq!((job.set_aside, job.open()), (1, 1));
 }
 
@@ -176,8 +176,8 @@ fn a_worker_that_fell_silent_gets_no_tile_before_it_asks_again() {
     }
     // The silent worker is the only one without a tile, and wants one.
     assert_eq!(b.grants(stands), [lost]);
-    assert_eq!(b.machine.unable(JobId(1))[0].names, ["stands"]);
+    assert_eq!(b.scheduler.unable(JobId(1))[0].names, ["stands"]);
     b.want(stands, 1);
     assert_eq!(b.grants(stands).last().unwrap().tile, lost.tile);
-    assert_eq!(b.machine.unable(JobId(1)), []);
+    assert_eq!(b.scheduler.unable(JobId(1)), []);
 }

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use super::event::{Effect, Note};
-use super::machine::{Leased, Machine, Timer};
-use super::messages::{Now, Order, Progress};
+use super::messages::{Now, Progress, WorkerCommand};
 use super::pools::Profile;
+use super::state::{Leased, Scheduler, Timer};
 use crate::ids::{JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobState;
 
@@ -21,7 +21,7 @@ const RAN_OUT: &str = "its lease ran out";
 /// Most cells or samples believed of a running tile, so that sums over all tiles cannot overflow.
 const MOST_REPORTED: u64 = 1 << 42;
 
-impl Machine {
+impl Scheduler {
     /// Leases a tile to a worker.
     pub(super) fn lease(
         &mut self,
@@ -102,7 +102,7 @@ impl Machine {
                     id,
                 };
                 self.effects
-                    .push(Effect::Tell(l.worker, Order::Revoke(lease)));
+                    .push(Effect::Tell(l.worker, WorkerCommand::Revoke(lease)));
             }
             if let Some(w) = self.workers.get_mut(&l.worker) {
                 w.leases.remove(&id);

@@ -75,7 +75,7 @@ pub(crate) struct ProfileTime {
 
 /// A message to a worker.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Order {
+pub(crate) enum WorkerCommand {
     /// Work on a tile.
     Grant(Box<Grant>),
     /// Stop working on a tile, or helping its leader.

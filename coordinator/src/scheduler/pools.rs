@@ -9,11 +9,11 @@ use std::sync::Arc;
 
 use sightline_model::BackendChoice;
 
-use super::queue::{Queue, Turn};
+use super::queue::{Queue, ServiceOrder};
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
 /// The place of a job in lists that know no users: higher priorities first, then older jobs.
-pub(super) type Place = (Reverse<i32>, JobId);
+pub(super) type QueuePosition = (Reverse<i32>, JobId);
 
 /// The name of a numerics profile.
 pub(super) type Profile = Arc<str>;
@@ -71,7 +71,7 @@ pub(super) struct Pool {
     /// Ready tiles of these jobs.
     pub(super) ready: usize,
     /// Leased tiles that have not begun because their worker is busy with another one.
-    pub(super) waiting: BTreeSet<(Place, TileIndex, LeaseId)>,
+    pub(super) waiting: BTreeSet<(QueuePosition, TileIndex, LeaseId)>,
     /// Leases that have begun, by the time when they did.
     pub(super) begun: BTreeSet<(u64, LeaseId)>,
     /// Workers that can be sent to a crew.
@@ -84,7 +84,7 @@ pub(super) struct Pool {
 
 impl Pool {
     /// The crew that is the next to get a helper, with the turn of its user, unless all have their most.
-    pub(super) fn crew_with_room(&self) -> Option<(&Turn, (usize, LeaseId))> {
+    pub(super) fn crew_with_room(&self) -> Option<(&ServiceOrder, (usize, LeaseId))> {
         let most = most_helpers(self.crew_count);
         self.crews
             .first_that(|(helpers, _)| *helpers < most)
@@ -102,7 +102,7 @@ impl Pool {
 pub(super) struct Pools {
     pub(super) of: BTreeMap<Profile, Pool>,
     /// Jobs without a profile that have ready tiles, by choice.
-    pub(super) unbound: [BTreeSet<Place>; CHOICES],
+    pub(super) unbound: [BTreeSet<QueuePosition>; CHOICES],
     /// Workers that want tiles, by the choices that they can serve.
     pub(super) hungry: [BTreeSet<WorkerId>; CHOICES],
     /// The pools that changed since they were last looked at.

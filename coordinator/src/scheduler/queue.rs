@@ -27,19 +27,19 @@ pub(super) struct Account {
 
 /// For whom something is done: what [`Queue`] orders by.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct For {
+pub(super) struct QueueKey {
     pub(super) user: User,
     pub(super) priority: Reverse<i32>,
 }
 
 /// The place of a user at one priority among all: higher priorities first, then smaller shares.
-pub(super) type Turn = (Reverse<i32>, Share, User);
+pub(super) type ServiceOrder = (Reverse<i32>, Share, User);
 
 /// Things to do, in the order in which they are served.
 #[derive(Debug)]
 pub(super) struct Queue<T> {
-    of: BTreeMap<For, BTreeSet<T>>,
-    turns: BTreeSet<Turn>,
+    of: BTreeMap<QueueKey, BTreeSet<T>>,
+    turns: BTreeSet<ServiceOrder>,
 }
 
 impl<T> Default for Queue<T> {
@@ -53,14 +53,14 @@ impl<T> Default for Queue<T> {
 
 impl<T: Ord> Queue<T> {
     /// Adds something for a user whose share is `share`.
-    pub(super) fn insert(&mut self, whom: &For, share: Share, thing: T) {
+    pub(super) fn insert(&mut self, whom: &QueueKey, share: Share, thing: T) {
         self.of.entry(whom.clone()).or_default().insert(thing);
         self.turns
             .insert((whom.priority, share, User::clone(&whom.user)));
     }
 
     /// Removes something.
-    pub(super) fn remove(&mut self, whom: &For, share: Share, thing: &T) {
+    pub(super) fn remove(&mut self, whom: &QueueKey, share: Share, thing: &T) {
         let Some(things) = self.of.get_mut(whom) else {
             return;
         };
@@ -73,14 +73,14 @@ impl<T: Ord> Queue<T> {
     }
 
     /// The first thing, with the turn of its user.
-    pub(super) fn first(&self) -> Option<(&Turn, &T)> {
+    pub(super) fn first(&self) -> Option<(&ServiceOrder, &T)> {
         self.first_that(|_| true)
     }
 
     /// The first thing of the first user whose first thing is as wanted.
-    pub(super) fn first_that(&self, wanted: impl Fn(&T) -> bool) -> Option<(&Turn, &T)> {
+    pub(super) fn first_that(&self, wanted: impl Fn(&T) -> bool) -> Option<(&ServiceOrder, &T)> {
         self.turns.iter().find_map(|turn| {
-            let whom = For {
+            let whom = QueueKey {
                 user: User::clone(&turn.2),
                 priority: turn.0,
             };
@@ -90,9 +90,9 @@ impl<T: Ord> Queue<T> {
     }
 
     /// The last thing of the last user whose last thing is as wanted.
-    pub(super) fn richest(&self, wanted: impl Fn(&T) -> bool) -> Option<(&Turn, &T)> {
+    pub(super) fn richest(&self, wanted: impl Fn(&T) -> bool) -> Option<(&ServiceOrder, &T)> {
         self.turns.iter().rev().find_map(|turn| {
-            let whom = For {
+            let whom = QueueKey {
                 user: User::clone(&turn.2),
                 priority: turn.0,
             };
@@ -103,7 +103,7 @@ impl<T: Ord> Queue<T> {
 
     /// Whether a thing is there.
     #[cfg(test)]
-    pub(super) fn has(&self, whom: &For, thing: &T) -> bool {
+    pub(super) fn has(&self, whom: &QueueKey, thing: &T) -> bool {
         self.of
             .get(whom)
             .is_some_and(|things| things.contains(thing))
@@ -111,7 +111,7 @@ impl<T: Ord> Queue<T> {
 
     /// All things, by user and priority.
     #[cfg(test)]
-    pub(super) fn all(&self) -> impl Iterator<Item = (&For, &T)> {
+    pub(super) fn all(&self) -> impl Iterator<Item = (&QueueKey, &T)> {
         self.of
             .iter()
             .flat_map(|(whom, things)| things.iter().map(move |thing| (whom, thing)))
@@ -124,7 +124,7 @@ impl<T: Ord> Queue<T> {
 
     /// The share of a user has changed.
     pub(super) fn reorder(&mut self, user: &User, from: Share, to: Share) {
-        let at = |priority| For {
+        let at = |priority| QueueKey {
             user: User::clone(user),
             priority: Reverse(priority),
         };
@@ -141,7 +141,7 @@ impl<T: Ord> Queue<T> {
     /// Whether every user with something to do has one turn at each priority, by the share that is given.
     #[cfg(test)]
     pub(super) fn is_in_order(&self, share: impl Fn(&User) -> Share) -> bool {
-        let turn = |whom: &For| (whom.priority, share(&whom.user), User::clone(&whom.user));
+        let turn = |whom: &QueueKey| (whom.priority, share(&whom.user), User::clone(&whom.user));
         self.of.keys().map(turn).collect::<BTreeSet<_>>() == self.turns
             && self.of.values().all(|things| !things.is_empty())
     }

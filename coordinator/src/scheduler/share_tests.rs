@@ -3,14 +3,14 @@
 use std::cmp::Reverse;
 
 use super::event::Event;
-use super::messages::{Order, Progress};
-use super::queue::{For, Queue, Share, User};
+use super::messages::{Progress, WorkerCommand};
+use super::queue::{Queue, QueueKey, Share, User};
 use super::tests::{Bench, empty};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::store::{JobPhase, JobState, Store as _, TileStats};
 
-fn whom(user: &str, priority: i32) -> For {
-    For {
+fn whom(user: &str, priority: i32) -> QueueKey {
+    QueueKey {
         user: user.into(),
         priority: Reverse(priority),
     }
@@ -27,7 +27,7 @@ fn a_queue_serves_priorities_then_users_then_ages() {
     let serve = |queue: &mut Queue<u32>, share: &dyn Fn(&User) -> Share| {
         let (turn, thing) = queue.first().map(|(turn, thing)| (turn.clone(), *thing))?;
         queue.remove(
-            &For {
+            &QueueKey {
                 user: User::clone(&turn.2),
                 priority: turn.0,
             },
@@ -135,7 +135,7 @@ fn users_have_the_same_number_of_workers_however_many_jobs_they_have() {
 fn helps(b: &Bench, worker: WorkerId) -> Option<Lease> {
     let told = b.told.get(&worker)?.iter();
     told.filter_map(|o| {
-        if let Order::Help(help) = o {
+        if let WorkerCommand::Help(help) = o {
             Some(help.lease)
         } else {
             None
@@ -180,7 +180,7 @@ fn helpers_move_to_the_user_and_the_priority_that_come_first() {
         .find(|w| helps(&b, **w) == Some(second))
         .unwrap();
     b.step(Event::Helped(moved, first));
-    assert_eq!(b.machine.workers[&moved].helps, Some(second));
+    assert_eq!(b.scheduler.workers[&moved].helps, Some(second));
     b.step(Event::CrewClosed(second));
     workers
         .iter()

@@ -7,11 +7,11 @@
 
 use std::collections::BTreeSet;
 
-use super::machine::Machine;
 use super::queue::{Account, Share, User};
+use super::state::Scheduler;
 use crate::ids::JobId;
 
-impl Machine {
+impl Scheduler {
     /// The share of a user.
     pub(super) fn share(&self, user: &User) -> Share {
         self.accounts

@@ -13,17 +13,17 @@ use std::collections::BTreeMap;
 
 /// A machine, a store whose commands are carried out at once, and what the workers were told.
 pub(super) struct Bench {
-    pub(super) machine: Machine,
+    pub(super) scheduler: Scheduler,
     pub(super) store: MemoryStore,
     pub(super) ms: u64,
-    pub(super) told: BTreeMap<WorkerId, Vec<Order>>,
+    pub(super) told: BTreeMap<WorkerId, Vec<WorkerCommand>>,
     answer: Option<Result<Joined, NameTaken>>,
     departure: Option<Departure>,
     pub(super) notes: Vec<Note>,
     /// Whether commands that record deaths wait in `ran`.
     pub(super) holds_deaths: bool,
     /// Commands about checks, deaths that wait, and jobs that were complete.
-    pub(super) ran: Vec<Command>,
+    pub(super) ran: Vec<StoreCommand>,
     pub(super) assembled: Vec<JobId>,
 }
 
@@ -38,7 +38,7 @@ const SETTINGS: Settings = Settings {
 
 impl Bench {
     pub(super) fn step(&mut self, event: Event) {
-        for effect in self.machine.step(
+        for effect in self.scheduler.step(
             event,
             Now {
                 ms: self.ms,
@@ -50,17 +50,17 @@ impl Bench {
                 Effect::Joined(answer) => self.answer = Some(answer),
                 Effect::Left(how) => self.departure = Some(how),
                 Effect::Note(note) => self.notes.push(note),
-                Effect::Run(Command::Bind(job, profile)) => {
+                Effect::Run(StoreCommand::Bind(job, profile)) => {
                     let bound = self.store.bind_profile(job, &profile).unwrap();
                     self.step(Event::Bound(job, bound));
                 }
-                Effect::Run(Command::Start(job)) => {
+                Effect::Run(StoreCommand::Start(job)) => {
                     let from = [crate::store::JobPhase::Queued];
                     let running = crate::store::JobState::Running;
                     let record = self.store.set_job_state(job, &from, running, 0).unwrap();
                     self.step(Event::JobChanged(Box::new(record)));
                 }
-                Effect::Run(Command::Fail {
+                Effect::Run(StoreCommand::Fail {
                     job,
                     tile,
                     worker,
@@ -75,10 +75,10 @@ impl Bench {
                         dead: None,
                     });
                 }
-                Effect::Run(command @ Command::CountDeath { .. }) if self.holds_deaths => {
+                Effect::Run(command @ StoreCommand::CountDeath { .. }) if self.holds_deaths => {
                     self.ran.push(command);
                 }
-                Effect::Run(Command::CountDeath {
+                Effect::Run(StoreCommand::CountDeath {
                     job,
                     tile,
                     worker,
@@ -93,7 +93,7 @@ impl Bench {
                         dead: Some(worker),
                     });
                 }
-                Effect::Run(Command::CancelDeath {
+                Effect::Run(StoreCommand::CancelDeath {
                     job,
                     tile,
                     worker,
@@ -103,7 +103,7 @@ impl Bench {
                         .forget_failure(job, tile, &worker, &reason)
                         .unwrap();
                 }
-                Effect::Run(Command::SetAside { job, tiles, .. }) => {
+                Effect::Run(StoreCommand::SetAside { job, tiles, .. }) => {
                     for tile in tiles {
                         self.step(Event::SetAside {
                             job,
@@ -112,14 +112,16 @@ impl Bench {
                         });
                     }
                 }
-                Effect::Run(command @ (Command::Confirm { .. } | Command::Quarantine { .. })) => {
+                Effect::Run(
+                    command @ (StoreCommand::Confirm { .. } | StoreCommand::Quarantine { .. }),
+                ) => {
                     self.ran.push(command);
                 }
                 Effect::Assemble(job) => self.assembled.push(job),
-                Effect::Run(Command::FailJob(..)) | Effect::Changed(_) => {}
+                Effect::Run(StoreCommand::FailJob(..)) | Effect::Changed(_) => {}
             }
         }
-        self.machine.check().unwrap();
+        self.scheduler.check().unwrap();
     }
 
     pub(super) fn try_join(
@@ -165,16 +167,16 @@ impl Bench {
 
     /// The worker that has each tile of the first job.
     pub(super) fn holders(&self) -> Vec<Option<WorkerId>> {
-        let tiles = self.machine.jobs.values().next().unwrap().tiles.iter();
+        let tiles = self.scheduler.jobs.values().next().unwrap().tiles.iter();
         tiles
-            .map(|t| t.leases[0].map(|l| self.machine.leases[&l].worker))
+            .map(|t| t.leases[0].map(|l| self.scheduler.leases[&l].worker))
             .collect()
     }
 
     pub(super) fn grants(&self, worker: WorkerId) -> Vec<Lease> {
         let told = self.told.get(&worker).into_iter().flatten();
         told.filter_map(|o| {
-            if let Order::Grant(g) = o {
+            if let WorkerCommand::Grant(g) = o {
                 Some(g.lease)
             } else {
                 None
@@ -220,7 +222,7 @@ pub(super) fn empty(epoch: u64) -> Bench {
         })
         .unwrap();
     Bench {
-        machine: Machine::new(Settings {
+        scheduler: Scheduler::new(Settings {
             epoch: Epoch(epoch),
             ..SETTINGS
         }),
@@ -326,7 +328,7 @@ fn a_worker_that_joins_late_takes_over_a_queued_tile_of_a_busy_worker() {
     b.want(two, 2);
     assert_eq!(b.holders(), [Some(one), Some(two)]);
     let leases = b.grants(one);
-    assert_eq!(b.told[&one].last(), Some(&Order::Revoke(leases[1])));
+    assert_eq!(b.told[&one].last(), Some(&WorkerCommand::Revoke(leases[1])));
     assert_eq!(b.grants(two)[0].tile, leases[1].tile);
     // A tile that has begun stays with its worker, and so does a worker's only tile.
     let three = b.join("c");
@@ -353,7 +355,7 @@ fn a_second_worker_of_one_name_is_refused_and_the_same_worker_may_reconnect() {
     assert_eq!(again.kept, [lease]);
     b.leave(first);
     assert_eq!(b.holders(), [Some(again.worker), None]);
-    assert!(b.machine.workers.contains_key(&again.worker));
+    assert!(b.scheduler.workers.contains_key(&again.worker));
     // The name is free when its worker has gone.
     b.leave(again.worker);
     b.try_join("a", 3, Vec::new()).unwrap();
@@ -493,10 +495,10 @@ fn the_profile_of_most_workers_is_chosen() {
         b.step(Event::Joined(intro));
     }
     b.want(WorkerId(1), 1);
-    assert_eq!(b.machine.job(JobId(1)).unwrap().record.profile, None);
+    assert_eq!(b.scheduler.job(JobId(1)).unwrap().record.profile, None);
     b.wait(1);
     assert_eq!(
-        b.machine.job(JobId(1)).unwrap().record.profile.as_deref(),
+        b.scheduler.job(JobId(1)).unwrap().record.profile.as_deref(),
         Some("cpu/common")
     );
     b.want(WorkerId(3), 1);
@@ -540,9 +542,9 @@ fn a_straggler_gets_a_second_lease_and_the_first_output_counts() {
         digest: [3; 32],
         stats,
     });
-    assert_eq!(b.told[&one].last(), Some(&Order::Revoke(slow)));
+    assert_eq!(b.told[&one].last(), Some(&WorkerCommand::Revoke(slow)));
     assert!(
-        b.machine.admit(&slow).unwrap().counts,
+        b.scheduler.admit(&slow).unwrap().counts,
         "a late output is compared with the first"
     );
 }

@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 
 use sightline_model::{BackendChoice, Choice as _};
 
-use super::binding::{Binding, profile_for};
 use super::event::{Departure, Effect, Note};
 use super::job::Parked;
-use super::ledger::Ledger;
-use super::machine::{Machine, Timer, Worker};
 use super::messages::{Introduction, Joined, NameTaken, Now};
 use super::pools::{CHOICES, Profile, index};
+use super::profile_choice::{Binding, profile_for};
+use super::state::{Scheduler, Timer, Worker};
+use super::worker_totals::WorkerTotals;
 use crate::ids::{LeaseId, WorkerId};
 
 /// How long a worker that did not take an order gets none, in milliseconds.
@@ -18,7 +18,7 @@ const DEAF: u64 = 1000;
 /// Tiles that a worker may hold: one that it works on and one that it fetches.
 pub(super) const MOST_HELD: u32 = 2;
 
-impl Machine {
+impl Scheduler {
     /// Adds a worker whose stream has begun. The same worker, told by its instance, replaces its earlier
     /// stream; workers that send no instance are all accepted.
     pub(super) fn join(&mut self, intro: Introduction, now: Now) {
@@ -62,7 +62,7 @@ impl Machine {
             version,
             joined: now.unix_ms,
             heard: now.unix_ms,
-            done: Ledger::default(),
+            done: WorkerTotals::default(),
             instance,
             profiles: profiles.iter().map(|p| Profile::from(p.as_str())).collect(),
             serves: of_choice,

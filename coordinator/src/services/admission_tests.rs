@@ -24,13 +24,13 @@ use tonic::{Code, Request, Status};
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
-use crate::dispatch::run::{do_chores, happened};
+use crate::dispatch::run::{happened, run_follow_ups};
 use crate::ids::JobId;
 use crate::jobs::control;
-use crate::kept::Answers;
+use crate::kept::SceneQueries;
 use crate::lifecycle::Config;
 use crate::quota::Quotas;
-use crate::scheduler::{Event, Order};
+use crate::scheduler::{Event, WorkerCommand};
 use crate::state::Coordinator;
 use crate::store::QuarantineRecord;
 use crate::tests::life::{join, output, put, triangle, two_tiles};
@@ -133,7 +133,7 @@ async fn result_is_refused_at_its_header_without_lease_or_with_wrong_length() {
         let scene = c.take_scene(&triangle()).unwrap();
         two_tiles(&c, scene);
         let (_, mut orders) = join(&c, "ada");
-        let Order::Grant(grant) = orders.try_recv().unwrap() else {
+        let WorkerCommand::Grant(grant) = orders.try_recv().unwrap() else {
             panic!("no tile")
         };
         grant.lease
@@ -296,7 +296,7 @@ fn troubles(served: &Served) -> Vec<Option<&'static str>> {
     served
         .c
         .lock()
-        .machine
+        .scheduler
         .roster(now)
         .into_iter()
         .map(|member| member.trouble)
@@ -492,7 +492,7 @@ impl Endless {
     }
 }
 
-impl Answers for Endless {
+impl SceneQueries for Endless {
     fn why(
         &self,
         _: &Pvs,
@@ -521,9 +521,11 @@ fn done(c: &Arc<Coordinator>) -> JobId {
     let (worker, mut orders) = join(c, "ada");
     while control::result(c, id).is_err() {
         while let Ok(order) = orders.try_recv() {
-            let Order::Grant(grant) = order else { continue };
+            let WorkerCommand::Grant(grant) = order else {
+                continue;
+            };
             put(c, &grant, &output(&grant, &[0])).unwrap();
-            do_chores(c, sessions::heard(c, worker, Message::Want(1)));
+            run_follow_ups(c, sessions::heard(c, worker, Message::Want(1)));
         }
         std::thread::sleep(Duration::from_millis(1));
     }

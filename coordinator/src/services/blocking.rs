@@ -7,8 +7,8 @@ use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
-use crate::dispatch::Chore;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::FollowUp;
+use crate::dispatch::run::run_follow_ups;
 use crate::quota::{Turn, Turns};
 use crate::state::Coordinator;
 
@@ -98,17 +98,20 @@ pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Optio
         .map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
 }
 
-/// Does chores on one of tokio's threads for blocking work; the caller does not wait for them.
-pub(super) fn later(c: &Arc<Coordinator>, chores: Vec<Chore>) {
-    if chores.is_empty() {
+/// Does follow-ups on one of tokio's threads for blocking work; the caller does not wait for them.
+pub(super) fn later(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
+    if follow_ups.is_empty() {
         return;
     }
     let c = Arc::clone(c);
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) => {
-            runtime.spawn_blocking(move || do_chores(&c, chores));
+            runtime.spawn_blocking(move || run_follow_ups(&c, follow_ups));
         }
         // The runtime is going; what was not begun is derived from the store at the next start.
-        Err(_) => tracing::debug!("the coordinator stops with {} things undone", chores.len()),
+        Err(_) => tracing::debug!(
+            "the coordinator stops with {} things undone",
+            follow_ups.len()
+        ),
     }
 }

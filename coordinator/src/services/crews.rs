@@ -17,9 +17,9 @@ use crate::ids::Lease;
 use crate::quota::Sender;
 use crate::state::Coordinator;
 use crate::store::{MAX_OUTCOME_BYTES, TileState};
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 use crate::uploads::spool::Spool;
-use crate::workers::crews::{Room, Take, Told};
+use crate::workers::crews::{Assignment, CrewChannel, LeaderMessage};
 use crate::workers::sessions;
 
 /// Most items in a message: more than a phase has.
@@ -40,7 +40,12 @@ async fn say(out: &Out, message: Message) -> Result<(), Gone> {
 struct Gone;
 
 /// Sends an outcome in pieces. Ends quietly when it is not there any more: the tile is done then.
-async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -> Result<(), Gone> {
+async fn say_outcome(
+    c: &Arc<Coordinator>,
+    room: &CrewChannel,
+    phase: u32,
+    out: &Out,
+) -> Result<(), Gone> {
     let tile = room.tile();
     let opened = blocking(c, move |c| Ok(c.crews.outcomes.open(tile, phase))).await;
     let Ok(Some((total, mut from))) = opened else {
@@ -86,8 +91,8 @@ async fn say_outcome(c: &Arc<Coordinator>, room: &Room, phase: u32, out: &Out) -
 /// The leader's stream, until it ends. It is sent the outcomes that are there from phase `from` on.
 pub(super) async fn lead(
     c: Arc<Coordinator>,
-    room: Arc<Room>,
-    told: mpsc::Receiver<Told>,
+    room: Arc<CrewChannel>,
+    told: mpsc::Receiver<LeaderMessage>,
     from: u32,
     inbound: Streaming<v1::CrewMessage>,
     out: Out,
@@ -117,8 +122,8 @@ pub(super) async fn lead(
 /// Sends the leader the outcomes of earlier leaders, and then what it is told.
 async fn tell(
     c: Arc<Coordinator>,
-    room: Arc<Room>,
-    mut told: mpsc::Receiver<Told>,
+    room: Arc<CrewChannel>,
+    mut told: mpsc::Receiver<LeaderMessage>,
     from: u32,
     out: Out,
 ) {
@@ -137,16 +142,16 @@ async fn tell(
                 None => return,
             },
             changed = kept.changed() => match changed {
-                Ok(()) => Told::Kept(*kept.borrow_and_update()),
+                Ok(()) => LeaderMessage::Kept(*kept.borrow_and_update()),
                 Err(_) => return,
             },
         };
         let message = match message {
-            Told::Joined(member) => Message::Joined(v1::CrewJoined { member }),
-            Told::Left(member) => Message::Left(v1::CrewLeft { member }),
-            Told::Kept(phases) => Message::Kept(v1::CrewKept { phases }),
-            Told::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
-            Told::Found {
+            LeaderMessage::Joined(member) => Message::Joined(v1::CrewJoined { member }),
+            LeaderMessage::Left(member) => Message::Left(v1::CrewLeft { member }),
+            LeaderMessage::Kept(phases) => Message::Kept(v1::CrewKept { phases }),
+            LeaderMessage::Ask { member, phase } => Message::Ask(v1::CrewAsk { member, phase }),
+            LeaderMessage::Found {
                 member,
                 phase,
                 items,
@@ -165,7 +170,7 @@ async fn tell(
 /// Acts on what the leader says, until it ends the crew or its stream.
 async fn hear_leader(
     c: &Arc<Coordinator>,
-    room: &Arc<Room>,
+    room: &Arc<CrewChannel>,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
     let mut outcome = None;
@@ -188,7 +193,7 @@ async fn hear_leader(
                 }
                 room.pass(
                     take.member,
-                    Take {
+                    Assignment {
                         phase: take.phase,
                         items: take.items,
                     },
@@ -225,7 +230,7 @@ async fn hear_leader(
 /// Stores an outcome that has arrived.
 async fn keep(
     c: &Arc<Coordinator>,
-    room: &Arc<Room>,
+    room: &Arc<CrewChannel>,
     mut spool: Spool,
     piece: &v1::CrewOutcome,
 ) -> Result<(), Status> {
@@ -233,9 +238,9 @@ async fn keep(
     let profile = {
         let scheduling = c.lock();
         let job = scheduling
-            .machine
+            .scheduler
             .job(lease.job)
-            .filter(|_| scheduling.machine.is_leased(&lease));
+            .filter(|_| scheduling.scheduler.is_leased(&lease));
         job.map(|job| job.record.profile.clone().unwrap_or_default())
     };
     let Some(profile) = profile else {
@@ -269,7 +274,7 @@ async fn keep(
         .phase_done(&profile, Duration::from_micros(piece.micros));
     room.outcomes.send_replace(phase + 1);
     let text = format!("tile {}: phase {phase} is finished", lease.tile);
-    c.happened(Happening::of_lease(Kind::Round, &lease, text));
+    c.happened(LogEvent::of_lease(Kind::Round, &lease, text));
     Ok(())
 }
 
@@ -284,7 +289,7 @@ async fn arrived(
     blocking(c, move |c| {
         let mut spool = match outcome {
             Some(spool) => spool,
-            None if !c.lock().machine.is_leased(&lease) => return Ok(None),
+            None if !c.lock().scheduler.is_leased(&lease) => return Ok(None),
             None if chunk.total > MAX_OUTCOME_BYTES => {
                 let announced = chunk.total;
                 return Err(Status::invalid_argument(format!(
@@ -302,7 +307,7 @@ async fn arrived(
 /// A helper's stream, until it ends or the crew does.
 pub(super) async fn help(
     c: Arc<Coordinator>,
-    room: Arc<Room>,
+    room: Arc<CrewChannel>,
     inbound: Streaming<v1::CrewMessage>,
     out: Out,
 ) {
@@ -313,7 +318,12 @@ pub(super) async fn help(
         takes,
         out.clone(),
     ));
-    if room.to_leader.send(Told::Joined(member)).await.is_err() {
+    if room
+        .to_leader
+        .send(LeaderMessage::Joined(member))
+        .await
+        .is_err()
+    {
         // The leader has gone.
         telling.abort();
         return;
@@ -336,14 +346,14 @@ pub(super) async fn help(
     room.leave(member);
     telling.abort();
     // Fails when the leader has gone, too.
-    let _ = room.to_leader.send(Told::Left(member)).await;
+    let _ = room.to_leader.send(LeaderMessage::Left(member)).await;
 }
 
 /// Sends a helper the outcomes of all phases, the items for it, and the end.
 async fn tell_helper(
     c: Arc<Coordinator>,
-    room: Arc<Room>,
-    mut takes: mpsc::Receiver<Take>,
+    room: Arc<CrewChannel>,
+    mut takes: mpsc::Receiver<Assignment>,
     out: Out,
 ) {
     let (mut outcomes, mut over) = (room.outcomes.subscribe(), room.is_over.subscribe());
@@ -367,7 +377,7 @@ async fn tell_helper(
                 Err(_) => return,
             },
             take = takes.recv() => match take {
-                Some(Take { phase, items }) => Message::Take(v1::CrewTake { member: 0, phase, items }),
+                Some(Assignment { phase, items }) => Message::Take(v1::CrewTake { member: 0, phase, items }),
                 None => return,
             },
         };
@@ -379,13 +389,13 @@ async fn tell_helper(
 
 /// Passes what a helper says to the leader, which sets the pace.
 async fn hear_helper(
-    room: &Room,
+    room: &CrewChannel,
     member: u64,
     mut inbound: Streaming<v1::CrewMessage>,
 ) -> Result<(), Status> {
     while let Some(message) = inbound.next().await {
         let told = match message?.message {
-            Some(Message::Ask(ask)) => Told::Ask {
+            Some(Message::Ask(ask)) => LeaderMessage::Ask {
                 member,
                 phase: ask.phase,
             },
@@ -400,7 +410,7 @@ async fn hear_helper(
                         "finds have more items than a phase can have",
                     ));
                 }
-                Told::Found {
+                LeaderMessage::Found {
                     member,
                     phase,
                     items,

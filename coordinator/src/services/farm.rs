@@ -13,9 +13,9 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::ids::{JobId, TileIndex};
-use crate::jobs::invalidate::{self, Which};
+use crate::jobs::invalidate::{self, TileFilter};
 use crate::jobs::tiles;
 use crate::state::Coordinator;
 use crate::store::StoreError;
@@ -43,7 +43,7 @@ impl v1::farm_server::Farm for FarmService {
         _: Request<v1::ListWorkersRequest>,
     ) -> Answer<v1::ListWorkersResponse> {
         let now = self.0.now_plain();
-        let roster = self.0.lock().machine.roster(now);
+        let roster = self.0.lock().scheduler.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
         let quarantined = blocking(&self.0, |c| {
             c.store.quarantined().map_err(|e| status::of_store(&e))
@@ -114,7 +114,7 @@ impl v1::farm_server::Farm for FarmService {
                 "tiles are numbered within a job; name the job, too",
             ));
         }
-        let which = Which {
+        let which = TileFilter {
             job: job.map(JobId),
             tiles: tiles.into_iter().map(TileIndex).collect(),
             worker: Some(worker).filter(|worker| !worker.is_empty()),
@@ -122,12 +122,12 @@ impl v1::farm_server::Farm for FarmService {
             to_ms: to_ms.unwrap_or(u64::MAX),
         };
         blocking(&self.0, move |c| {
-            let mut chores = Vec::new();
+            let mut follow_ups = Vec::new();
             let opened = {
                 let _turn = c.turn();
-                invalidate::invalidate(c, &which, &mut chores)
+                invalidate::invalidate(c, &which, &mut follow_ups)
             };
-            do_chores(c, chores);
+            run_follow_ups(c, follow_ups);
             let opened = opened.map_err(|e| status::of_store(&e))?;
             let jobs = opened
                 .into_iter()

@@ -20,14 +20,14 @@ use super::streams::{ChunkStream, stream_blob, stream_bytes};
 use super::{status, wire};
 use crate::access::Caller;
 use crate::ids::{Digest, JobId};
-use crate::jobs::control::{self, JobError, Summary, Wanted};
+use crate::jobs::control::{self, JobError, JobFilter, Summary};
 use crate::jobs::delete;
 use crate::jobs::estimate;
 use crate::jobs::resume;
 use crate::jobs::submit::{self, Submission};
 use crate::outputs::commit::MAX_LIGHT;
 use crate::results::partial;
-use crate::state::{Coordinator, Lacks};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::StoreError;
 use crate::uploads::receivers;
 use crate::uploads::scene_files;
@@ -123,7 +123,7 @@ impl v1::jobs_server::Jobs for JobsService {
             let _large = large;
             let record = scenes::put_scene(c, caller.owner(), whole, &parts)
                 .map_err(|e| status::of_upload(&e))?;
-            resume::back(c, Lacks::Scene(whole));
+            resume::back(c, MissingBlob::Scene(whole));
             Ok(Response::new(wire::scene(&record)))
         })
         .await
@@ -151,7 +151,7 @@ impl v1::jobs_server::Jobs for JobsService {
             let _large = large;
             let stored = receivers::put(c, caller.owner(), whole, &parts);
             let facts = stored.map_err(|e| status::of_upload(&e))?.facts;
-            resume::back(c, Lacks::Receivers(whole));
+            resume::back(c, MissingBlob::Receivers(whole));
             let (points, lights) = (facts.points, facts.lights);
             Ok(Response::new(v1::ReceiversInfo {
                 digest: whole.to_vec(),
@@ -250,7 +250,7 @@ impl v1::jobs_server::Jobs for JobsService {
         } else {
             Some(wire::digest(&scene)?)
         };
-        let wanted = Wanted {
+        let wanted = JobFilter {
             phases,
             name,
             user,
@@ -451,7 +451,7 @@ pub(super) async fn take_file(
         let _large = large;
         let taken = scene_files::take(c, caller.owner(), &name, spool, rules);
         let (record, warnings) = taken.map_err(|e| status::of_file(&e))?;
-        resume::back(c, Lacks::Scene(record.digest));
+        resume::back(c, MissingBlob::Scene(record.digest));
         Ok(v1::SceneFileInfo {
             scene: Some(wire::scene(&record)),
             warnings,

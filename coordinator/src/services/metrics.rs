@@ -88,12 +88,12 @@ async fn ready<P: Probed>(State(of): State<Arc<P>>) -> Response {
 /// How things stand.
 fn moment(c: &Coordinator) -> Moment {
     let (ready, now) = (readiness(c).is_ok(), c.now_plain());
-    let machine = &c.lock().machine;
+    let scheduler = &c.lock().scheduler;
     Moment {
         ready,
-        jobs: machine.counts(),
-        members: machine.roster(now),
-        quarantined: machine.quarantined().len(),
+        jobs: scheduler.counts(),
+        members: scheduler.roster(now),
+        quarantined: scheduler.quarantined().len(),
         data_dir: c.data_dir.clone(),
         carried: c.blobs.carried(),
     }

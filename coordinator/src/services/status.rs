@@ -82,7 +82,7 @@ pub(super) fn of_upload(e: &UploadError) -> Status {
 /// Returns the status of an upload that differs from its announcement, or that there is no room for.
 pub(super) fn of_spool(e: &SpoolError) -> Status {
     match e {
-        SpoolError::Beyond(_) => Status::with_error_details(
+        SpoolError::LimitExceeded(_) => Status::with_error_details(
             Code::ResourceExhausted,
             e.to_string(),
             ErrorDetails::with_retry_info(Some(AGAIN)),
@@ -98,7 +98,7 @@ pub(super) fn of_spool(e: &SpoolError) -> Status {
 /// The status of something that a user may not have.
 pub(super) fn of_having(e: &HavingError) -> Status {
     match e {
-        HavingError::Beyond(beyond) => Status::resource_exhausted(beyond.to_string()),
+        HavingError::LimitExceeded(beyond) => Status::resource_exhausted(beyond.to_string()),
         HavingError::Store(e) => of_store(e),
     }
 }

@@ -9,8 +9,10 @@ use crate::jobs::control::Summary;
 use crate::jobs::estimate::Estimate;
 use crate::jobs::stored_spec;
 use crate::jobs::tiles::TileView;
-use crate::scheduler::{Held, Member, Order, ProfileTime, Standing, Team, Unable};
-use crate::state::Lacks;
+use crate::scheduler::{
+    LeasedTile, ProfileTime, Team, TileStatus, Unable, WorkerCommand, WorkerStatus,
+};
+use crate::state::MissingBlob;
 use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::telemetry::events::{Entry, Kind};
 use crate::workers::lease_tags::{LeaseTags, Use};
@@ -54,13 +56,13 @@ pub(super) fn times(times: Vec<v1::ProfileTime>) -> Vec<ProfileTime> {
 /// An order to a worker, about a job with this trace.
 pub(super) fn order(
     tags: &LeaseTags,
-    order: Order,
+    order: WorkerCommand,
     trace: Option<TraceId>,
 ) -> v1::CoordinatorMessage {
     use v1::coordinator_message::Message;
     let trace = bytes_of(trace);
     let message = match order {
-        Order::Grant(grant) => Message::Grant(v1::Grant {
+        WorkerCommand::Grant(grant) => Message::Grant(v1::Grant {
             lease: Some(tags.to_wire(&grant.lease, Use::Hold)),
             spec: Some(grant.spec.to_proto()),
             profile: grant.profile,
@@ -73,7 +75,7 @@ pub(super) fn order(
             millis: grant.millis,
             trace,
         }),
-        Order::Revoke(lease) => {
+        WorkerCommand::Revoke(lease) => {
             // The receiver knows the lease by its numbers, whether it holds it or helps its holder.
             let lease = v1::Lease {
                 tag: 0,
@@ -81,13 +83,13 @@ pub(super) fn order(
             };
             Message::Revoke(v1::Revoke { lease: Some(lease) })
         }
-        Order::Help(help) => Message::Help(v1::Help {
+        WorkerCommand::Help(help) => Message::Help(v1::Help {
             lease: Some(tags.to_wire(&help.lease, Use::Help)),
             spec: Some(help.spec.to_proto()),
             profile: help.profile,
             trace,
         }),
-        Order::Time { job, spec } => Message::Time(v1::Time {
+        WorkerCommand::Time { job, spec } => Message::Time(v1::Time {
             job: job.0,
             spec: Some(spec.to_proto()),
         }),
@@ -217,8 +219,8 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         JobState::Running => v1::JobState::Running,
         JobState::Paused => {
             let reason = summary.lacks.map(|lacks| match lacks {
-                Lacks::Scene(_) => "its scene cannot be read; send it again with `sightline submit`",
-                Lacks::Receivers(_) => {
+                MissingBlob::Scene(_) => "its scene cannot be read; send it again with `sightline submit`",
+                MissingBlob::Receivers(_) => {
                     "its receivers cannot be read; send the receivers again with the `sightline ambient` \
                      that made the job"
                 }
@@ -242,7 +244,7 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
 }
 
 /// A connected worker.
-pub(super) fn member(member: Member) -> v1::WorkerInfo {
+pub(super) fn member(member: WorkerStatus) -> v1::WorkerInfo {
     v1::WorkerInfo {
         name: member.name,
         version: member.version,
@@ -274,8 +276,8 @@ pub(super) fn quarantined(record: QuarantineRecord) -> v1::QuarantinedWorker {
     }
 }
 
-fn held(held: Held) -> v1::HeldTile {
-    let Held {
+fn held(held: LeasedTile) -> v1::HeldTile {
+    let LeasedTile {
         job,
         tile,
         has_begun,
@@ -317,14 +319,14 @@ pub(super) fn phase(state: v1::JobState) -> Result<JobPhase, Status> {
 ///
 /// # Errors
 /// INVALID_ARGUMENT for a number that says nothing.
-pub(super) fn standing(state: v1::TileState) -> Result<Standing, Status> {
+pub(super) fn standing(state: v1::TileState) -> Result<TileStatus, Status> {
     Ok(match state {
-        v1::TileState::Waiting => Standing::Waiting,
-        v1::TileState::Ready => Standing::Ready,
-        v1::TileState::Leased => Standing::Leased,
-        v1::TileState::Running => Standing::Running,
-        v1::TileState::Done => Standing::Done,
-        v1::TileState::SetAside => Standing::SetAside,
+        v1::TileState::Waiting => TileStatus::Waiting,
+        v1::TileState::Ready => TileStatus::Ready,
+        v1::TileState::Leased => TileStatus::Leased,
+        v1::TileState::Running => TileStatus::Running,
+        v1::TileState::Done => TileStatus::Done,
+        v1::TileState::SetAside => TileStatus::SetAside,
         v1::TileState::Unspecified => {
             return Err(Status::invalid_argument(
                 "states of tiles were given that there are not",

@@ -18,13 +18,13 @@ use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::ids::{Digest, JobId, Lease, WorkerId, WorkerIdentity, signature};
 use crate::jobs::suspend;
-use crate::outputs::commit::{self, Announced, MAX_LIGHT, Origin, ResultError, Weight};
+use crate::outputs::commit::{self, MAX_LIGHT, Origin, ResultError, UploadHeader, Weight};
 use crate::quota::Turn;
-use crate::scheduler::{Failure, Introduction, Joined, Order, Progress};
-use crate::state::{Coordinator, Lacks};
+use crate::scheduler::{Failure, Introduction, Joined, Progress, WorkerCommand};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::{MAX_IDENTIFIER_BYTES, MAX_WORKER_BYTES, Staged};
 use crate::telemetry::spans::Spans;
 use crate::workers::lease_tags::{LeaseTags, Use};
@@ -45,7 +45,7 @@ type Messages = mpsc::Sender<Outgoing>;
 
 /// A message to a worker. Orders are encoded when they are sent, outside of the scheduler's lock.
 enum Outgoing {
-    Order(Order, Option<TraceId>),
+    WorkerCommand(WorkerCommand, Option<TraceId>),
     Welcome(v1::Welcome),
     Failure(Status),
 }
@@ -53,7 +53,7 @@ enum Outgoing {
 impl Outgoing {
     fn encode(self, tags: &LeaseTags) -> Result<v1::CoordinatorMessage, Status> {
         match self {
-            Self::Order(order, trace) => Ok(wire::order(tags, order, trace)),
+            Self::WorkerCommand(order, trace) => Ok(wire::order(tags, order, trace)),
             Self::Welcome(welcome) => {
                 let welcome = v1::coordinator_message::Message::Welcome(welcome);
                 Ok(v1::CoordinatorMessage {
@@ -122,7 +122,7 @@ impl v1::workers_server::Workers for WorkersService {
             fell_back,
         } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
-        self.noticing(answer, &digest, Lacks::Scene).await
+        self.noticing(answer, &digest, MissingBlob::Scene).await
     }
 
     type FetchPackStream = Pin<Box<dyn Stream<Item = Result<v1::Chunk, Status>> + Send>>;
@@ -135,7 +135,7 @@ impl v1::workers_server::Workers for WorkersService {
         } = r.into_inner();
         let answer = self.fetch(&digest, direct, fell_back).await;
         // Receivers come this way, too. A worker that needs a lost pack computes it again.
-        self.noticing(answer, &digest, Lacks::Receivers).await
+        self.noticing(answer, &digest, MissingBlob::Receivers).await
     }
 
     type CrewStream = Pin<Box<dyn Stream<Item = Result<v1::CrewMessage, Status>> + Send>>;
@@ -168,8 +168,8 @@ impl v1::workers_server::Workers for WorkersService {
             tokio::spawn(async move {
                 // The outcomes of an earlier leader are counted on the disk.
                 match blocking(&c, move |c| Ok(sessions::lead(c, lease))).await {
-                    Ok(Some((room, told, chores))) => {
-                        later(&c, chores);
+                    Ok(Some((room, told, follow_ups))) => {
+                        later(&c, follow_ups);
                         let _ = answer.send(Ok(()));
                         crews::lead(c, room, told, phases, inbound, out).await;
                     }
@@ -281,7 +281,7 @@ impl WorkersService {
         &self,
         answer: Answer<ChunkStream>,
         digest: &[u8],
-        lacks: fn(Digest) -> Lacks,
+        lacks: fn(Digest) -> MissingBlob,
     ) -> Answer<ChunkStream> {
         if let Err(refused) = &answer
             && matches!(
@@ -291,9 +291,9 @@ impl WorkersService {
         {
             let (lacks, why) = (lacks(wire::digest(digest)?), refused.message().to_owned());
             blocking(&self.0, move |c| {
-                let (_, chores) =
+                let (_, follow_ups) =
                     suspend::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
-                do_chores(c, chores);
+                run_follow_ups(c, follow_ups);
                 Ok(())
             })
             .await?;
@@ -325,7 +325,7 @@ impl WorkersService {
     async fn commit(
         &self,
         right: Option<Turn>,
-        announced: Announced,
+        announced: UploadHeader,
         put: impl Fn(&Arc<Coordinator>, Weight) -> Result<(), ResultError> + Send + Sync + 'static,
     ) -> Answer<v1::PutResultResponse> {
         let put = Arc::new(put);
@@ -394,8 +394,8 @@ fn staged(
     })
 }
 
-fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<Announced, Status> {
-    Ok(Announced {
+fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<UploadHeader, Status> {
+    Ok(UploadHeader {
         lease: result_lease(c, header.lease.as_ref())?,
         digest: wire::digest(&header.digest)?,
         bytes: header.bytes,
@@ -446,13 +446,15 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
 struct WireOutbox(Messages, Arc<Spans>);
 
 impl Outbox for WireOutbox {
-    fn offer(&self, order: Order) -> bool {
+    fn offer(&self, order: WorkerCommand) -> bool {
         let trace = match &order {
-            Order::Grant(grant) => self.1.trace(grant.lease.job),
-            Order::Help(help) => self.1.trace(help.lease.job),
-            Order::Revoke(_) | Order::Time { .. } => None,
+            WorkerCommand::Grant(grant) => self.1.trace(grant.lease.job),
+            WorkerCommand::Help(help) => self.1.trace(help.lease.job),
+            WorkerCommand::Revoke(_) | WorkerCommand::Time { .. } => None,
         };
-        self.0.try_send(Outgoing::Order(order, trace)).is_ok()
+        self.0
+            .try_send(Outgoing::WorkerCommand(order, trace))
+            .is_ok()
     }
 }
 
@@ -481,8 +483,8 @@ async fn session(
     };
     let outbox = Box::new(WireOutbox(out.clone(), Arc::clone(&c.spans)));
     let joined = match sessions::join(&c, intro, outbox) {
-        Ok((joined, chores)) => {
-            later(&c, chores);
+        Ok((joined, follow_ups)) => {
+            later(&c, follow_ups);
             joined
         }
         Err(e) => {
@@ -557,16 +559,16 @@ async fn listen(
             Ok(None) => Ok(()),
             Ok(Some(message)) => {
                 let failure = matches!(message, Message::Failed(_));
-                let chores = sessions::heard(c, worker, message);
-                if failure && !chores.is_empty() {
+                let follow_ups = sessions::heard(c, worker, message);
+                if failure && !follow_ups.is_empty() {
                     // Its next message waits until the failure is on record; nobody else does.
                     blocking(c, |c| {
-                        do_chores(c, chores);
+                        run_follow_ups(c, follow_ups);
                         Ok(())
                     })
                     .await
                 } else {
-                    later(c, chores);
+                    later(c, follow_ups);
                     Ok(())
                 }
             }

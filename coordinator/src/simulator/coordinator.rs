@@ -4,7 +4,7 @@ use super::parts::{Answer, Down, Happening, Refusal, Up, digest, output};
 use super::world::{TTL, World};
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
 use crate::jobs::invalidate::unbelieved;
-use crate::scheduler::{Command, Effect, Event, Failure, Machine, Now, Settings};
+use crate::scheduler::{Effect, Event, Failure, Now, Scheduler, Settings, StoreCommand};
 use crate::store::{
     CommitOutcome, JobPhase, JobState, MAX_HELPERS, QuarantineRecord, StoreError, TileCheck,
     TileResult, TileState, TileStats,
@@ -13,7 +13,7 @@ use crate::store::{
 impl World {
     /// Ends the coordinator, with everything that it has not finished.
     pub(super) fn stop_coordinator(&mut self) {
-        self.machine = None;
+        self.scheduler = None;
         self.life += 1;
         self.close_store();
         for stream in 0..self.streams.len() {
@@ -36,7 +36,7 @@ impl World {
             spot_check: self.spot_check,
             spot_seed: 5,
         };
-        self.machine = Some(Machine::new(settings));
+        self.scheduler = Some(Scheduler::new(settings));
         self.started = self.now;
         self.ran_before.clear();
         self.claimed.clear();
@@ -84,11 +84,11 @@ impl World {
             ms: self.now,
             unix_ms: self.unix_ms,
         };
-        let Some(machine) = &mut self.machine else {
+        let Some(scheduler) = &mut self.scheduler else {
             return Ok(());
         };
-        let effects = machine.step(Event::Joined(intro), now);
-        machine.check()?;
+        let effects = scheduler.step(Event::Joined(intro), now);
+        scheduler.check()?;
         for effect in effects {
             match effect {
                 Effect::Joined(Ok(joined)) => {
@@ -114,13 +114,13 @@ impl World {
         }
     }
 
-    /// An output has arrived: it is checked, and committed without the machine, as in a coordinator.
+    /// An output has arrived: it is checked, and committed without the scheduler, as in a coordinator.
     pub(super) fn arrives(&mut self, w: usize, life: u64, lease: Lease) -> Result<(), String> {
-        let Some(machine) = &self.machine else {
+        let Some(scheduler) = &self.scheduler else {
             self.after(1000, Happening::Deliver(w, life, lease.id));
             return Ok(());
         };
-        let Some(admitted) = machine.admit(&lease).ok().filter(|a| a.counts) else {
+        let Some(admitted) = scheduler.admit(&lease).ok().filter(|a| a.counts) else {
             self.answer(w, life, lease.id, Answer::NotNeeded);
             return Ok(());
         };
@@ -210,12 +210,12 @@ impl World {
     }
 
     /// Carries out a command of the store.
-    pub(super) fn run_command(&mut self, command: Command) -> Result<(), String> {
+    pub(super) fn run_command(&mut self, command: StoreCommand) -> Result<(), String> {
         if self.disk_full {
             return self.tell(Event::Refused(command));
         }
-        // Nobody opens tiles again while the machine has not heard of a commit.
-        if matches!(command, Command::Quarantine { .. }) && self.commits() {
+        // Nobody opens tiles again while the scheduler has not heard of a commit.
+        if matches!(command, StoreCommand::Quarantine { .. }) && self.commits() {
             self.after(1, Happening::Run(self.life, Box::new(command)));
             return Ok(());
         }
@@ -223,7 +223,7 @@ impl World {
         let outcome = self.outcome(&command, &mut events);
         events.into_iter().try_for_each(|event| self.tell(event))?;
         match outcome {
-            // The job has changed in the meantime; the machine has heard of that, or will.
+            // The job has changed in the meantime; the scheduler has heard of that, or will.
             Ok(()) | Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {
                 Ok(())
             }
@@ -234,7 +234,7 @@ impl World {
         }
     }
 
-    /// Whether an output is committed of which the machine has not heard.
+    /// Whether an output is committed of which the scheduler has not heard.
     fn commits(&self) -> bool {
         self.queue.values().any(|happening| match happening {
             Happening::Durable(life, _, _, events, ..) => {
@@ -247,14 +247,18 @@ impl World {
         })
     }
 
-    fn outcome(&mut self, command: &Command, events: &mut Vec<Event>) -> Result<(), StoreError> {
+    fn outcome(
+        &mut self,
+        command: &StoreCommand,
+        events: &mut Vec<Event>,
+    ) -> Result<(), StoreError> {
         let at = self.unix_ms;
         let changed = |record| Event::JobChanged(Box::new(record));
         match command {
-            Command::Bind(id, profile) => {
+            StoreCommand::Bind(id, profile) => {
                 events.push(Event::Bound(*id, self.store().bind_profile(*id, profile)?));
             }
-            Command::Start(id) => {
+            StoreCommand::Start(id) => {
                 let from = [JobPhase::Queued];
                 events.push(changed(self.store().set_job_state(
                     *id,
@@ -263,7 +267,7 @@ impl World {
                     at,
                 )?));
             }
-            Command::Fail {
+            StoreCommand::Fail {
                 job,
                 tile,
                 worker,
@@ -279,7 +283,7 @@ impl World {
                     dead: None,
                 });
             }
-            Command::CountDeath {
+            StoreCommand::CountDeath {
                 job,
                 tile,
                 worker,
@@ -295,7 +299,7 @@ impl World {
                     dead,
                 });
             }
-            Command::CancelDeath {
+            StoreCommand::CancelDeath {
                 job,
                 tile,
                 worker,
@@ -303,7 +307,7 @@ impl World {
             } => {
                 self.store().forget_failure(*job, *tile, worker, reason)?;
             }
-            Command::SetAside {
+            StoreCommand::SetAside {
                 job, tiles, reason, ..
             } => {
                 for tile in tiles {
@@ -326,7 +330,7 @@ impl World {
                     }
                 }
             }
-            Command::Confirm {
+            StoreCommand::Confirm {
                 job,
                 tile,
                 digest,
@@ -338,7 +342,7 @@ impl World {
                 };
                 self.store().confirm_tile(*job, *tile, *digest, check)?;
             }
-            Command::Quarantine {
+            StoreCommand::Quarantine {
                 workers,
                 condemned,
                 reason,
@@ -373,7 +377,7 @@ impl World {
                     })?;
                 }
             }
-            Command::FailJob(id, reason) => {
+            StoreCommand::FailJob(id, reason) => {
                 let from = [JobPhase::Queued, JobPhase::Running];
                 let failed = JobState::Failed {
                     reason: reason.clone(),

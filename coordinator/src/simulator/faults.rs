@@ -144,7 +144,7 @@ impl World {
                 }
             }
             4 => {
-                if self.machine.is_some() {
+                if self.scheduler.is_some() {
                     self.stop_coordinator();
                     let wait = if self.one_in(2) { 200 } else { long / 2 };
                     self.after(wait, Happening::CoordinatorUp);
@@ -207,7 +207,7 @@ impl World {
         }
         let id = ids[self.below(ids.len() as u64) as usize];
         let what = self.below(6);
-        if self.machine.is_none() || self.disk_full {
+        if self.scheduler.is_none() || self.disk_full {
             return Ok(());
         }
         let live = [JobPhase::Queued, JobPhase::Running];
@@ -248,7 +248,7 @@ impl World {
     fn repair(&mut self) -> Result<(), String> {
         self.disk_full = false;
         self.end_faults();
-        if self.machine.is_none() {
+        if self.scheduler.is_none() {
             self.after(500, Happening::Fault);
             return Ok(());
         }

@@ -7,7 +7,7 @@ use sightline_scene::Aabb;
 use sightline_viewcells::{Division, Lattice};
 
 use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
-use crate::scheduler::{Command, Event, Introduction, Progress};
+use crate::scheduler::{Event, Introduction, Progress, StoreCommand};
 use crate::store::MemoryStore;
 use crate::store::failing::FailingDisk;
 
@@ -53,7 +53,7 @@ pub(super) enum Happening {
     Durable(u64, usize, u64, Vec<Event>, LeaseId, Answer),
     Answered(usize, u64, LeaseId, Answer),
     Stopped(usize, u64, LeaseId),
-    Run(u64, Box<Command>),
+    Run(u64, Box<StoreCommand>),
     Assemble(u64, JobId),
     Fault,
     Revive(usize, u64),

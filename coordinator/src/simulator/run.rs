@@ -37,7 +37,10 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
         world.now = at;
         if world.now > super::world::FAULTS + PATIENCE {
             let open: Vec<_> = world.open_jobs();
-            let state = world.machine.as_ref().map(|machine| machine.state_text());
+            let state = world
+                .scheduler
+                .as_ref()
+                .map(|scheduler| scheduler.state_text());
             let tiles: Vec<_> = open
                 .iter()
                 .map(|(id, _)| world.store().tiles(*id))
@@ -48,7 +51,7 @@ fn run_in(mut world: World) -> Result<DiskCounts, String> {
             ));
         }
         world.handle(happening)?;
-        if !world.faults_on() && world.machine.is_some() && world.open_jobs().is_empty() {
+        if !world.faults_on() && world.scheduler.is_some() && world.open_jobs().is_empty() {
             break;
         }
     }
@@ -92,7 +95,7 @@ impl World {
                 self.after(1000, H::Tick(life));
                 self.tell(Event::Tick)?;
             }
-            H::Crew(life, event) if life == self.life && self.machine.is_some() => {
+            H::Crew(life, event) if life == self.life && self.scheduler.is_some() => {
                 self.tell(*event)?;
                 self.prioritize()?;
             }

@@ -78,7 +78,7 @@ fn many_schedules() {
     );
 }
 
-/// What the machine or the rules got wrong before, each under the number of the schedule that showed it.
+/// What the scheduler or the rules got wrong before, each under the number of the schedule that showed it.
 #[test]
 fn schedules_that_failed() {
     // A job that was paused and resumed was queued, and a worker that came back for a lease made it have

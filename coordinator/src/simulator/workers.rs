@@ -13,7 +13,7 @@ impl World {
         if !self.workers[w].alive || self.workers[w].stream.is_some() {
             return;
         }
-        let reachable = self.machine.is_some() && self.workers[w].cut_until <= self.now;
+        let reachable = self.scheduler.is_some() && self.workers[w].cut_until <= self.now;
         if !reachable {
             let wait = self.workers[w].wait;
             self.workers[w].wait = (wait * 2).min(2000);
@@ -151,7 +151,7 @@ impl World {
         held.tries += 1;
         let (lease, wait) = (held.lease, (250u64 << held.tries.min(6)).min(10_000));
         let life = self.workers[w].life;
-        let lost = self.machine.is_none()
+        let lost = self.scheduler.is_none()
             || self.workers[w].cut_until > self.now
             || self.faults_on() && self.one_in(10);
         if lost {

@@ -8,7 +8,7 @@ use sightline_viewcells::Plan;
 
 use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
 use crate::ids::{JobId, Lease, LeaseId, TileIndex};
-use crate::scheduler::{Effect, Event, Job, Machine, Now, Order, Output, Work};
+use crate::scheduler::{Effect, Event, Job, Now, Output, Scheduler, Work, WorkerCommand};
 use crate::store::{JobPhase, MemoryStore};
 
 pub(super) const TTL: u64 = 10_000;
@@ -29,7 +29,7 @@ pub(super) struct World {
     pub(super) ground: Ground,
     /// The share of tiles that are computed again.
     pub(super) spot_check: f64,
-    pub(super) machine: Option<Machine>,
+    pub(super) scheduler: Option<Scheduler>,
     /// Lives of the coordinator.
     pub(super) life: u64,
     pub(super) epoch: u64,
@@ -65,7 +65,7 @@ impl World {
             queue: BTreeMap::new(),
             ground: Ground::Memory(MemoryStore::new()),
             spot_check: 0.0,
-            machine: None,
+            scheduler: None,
             life: 0,
             epoch: 0,
             stalled_until: 0,
@@ -212,20 +212,20 @@ impl World {
         )
     }
 
-    /// Tells the machine of an event, checks it, and carries out what it wants.
+    /// Tells the scheduler of an event, checks it, and carries out what it wants.
     pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
         let now = Now {
             ms: self.now,
             unix_ms: self.unix_ms,
         };
         let tick = matches!(event, Event::Tick);
-        let Some(machine) = &mut self.machine else {
+        let Some(scheduler) = &mut self.scheduler else {
             return Ok(());
         };
-        let effects = machine.step(event, now);
-        machine.check()?;
+        let effects = scheduler.step(event, now);
+        scheduler.check()?;
         if tick {
-            machine.check_expiries(now)?;
+            scheduler.check_expiries(now)?;
         }
         effects
             .into_iter()
@@ -239,20 +239,20 @@ impl World {
                     .streams
                     .iter()
                     .rposition(|s| s.number == Some(worker) && s.life == self.life);
-                if let Order::Grant(grant) = &order {
+                if let WorkerCommand::Grant(grant) = &order {
                     self.may_lease(&grant.lease)?;
                 }
                 let Some(stream) = stream else {
                     return Err("an order to nobody".to_owned());
                 };
                 match order {
-                    Order::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
-                    Order::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
-                    Order::Help(help) => {
+                    WorkerCommand::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
+                    WorkerCommand::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
+                    WorkerCommand::Help(help) => {
                         let back = Event::Helped(worker, help.lease);
                         self.crew(3000, back);
                     }
-                    Order::Time { .. } => {}
+                    WorkerCommand::Time { .. } => {}
                 }
             }
             Effect::Run(command) => {
@@ -276,9 +276,9 @@ impl World {
         let claimed = self.claimed.contains(&(lease.job, lease.tile));
         // The check of a done tile does not affect the worker that made the tile.
         let job = self
-            .machine
+            .scheduler
             .as_ref()
-            .and_then(|machine| machine.job(lease.job));
+            .and_then(|scheduler| scheduler.job(lease.job));
         let is_open = job.is_some_and(|job| job.tiles[lease.tile.at()].output == Output::Open);
         if is_open
             && self.ran_before.contains(&lease.job)

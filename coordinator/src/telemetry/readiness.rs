@@ -56,7 +56,7 @@ fn try_all(c: &Coordinator) -> Result<(), NotReady> {
     if let Err(e) = c.store.may_change() {
         reasons.push(format!("the store cannot be written: {e}"));
     }
-    if c.lock().machine.is_paused() {
+    if c.lock().scheduler.is_paused() {
         reasons.push(
             "no tiles are granted for a while, because the store could not be written".to_owned(),
         );

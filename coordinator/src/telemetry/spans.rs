@@ -12,7 +12,7 @@ use std::time::Duration;
 use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
 
 use crate::ids::{JobId, Lease, LeaseId, TileIndex, worker_name};
-use crate::scheduler::{Event, Job, Machine};
+use crate::scheduler::{Event, Job, Scheduler};
 use crate::store::{JobPhase, JobRecord, JobState, TileStats};
 
 /// Attributes. Their words are those of the events.
@@ -260,7 +260,7 @@ impl Spans {
     }
 
     /// A tile is leased to a worker.
-    pub(crate) fn leased(&self, lease: &Lease, worker: &str, machine: &Machine) {
+    pub(crate) fn leased(&self, lease: &Lease, worker: &str, scheduler: &Scheduler) {
         let Some(traces) = self.on() else { return };
         let mut open = self.open();
         let Some(job) = open.jobs.get_mut(&lease.job) else {
@@ -269,9 +269,9 @@ impl Spans {
         let now = Begun::now();
         // Those of which nobody was told that they have ended.
         job.end_leases(traces, now, |other| {
-            other.tile == lease.tile && !machine.is_leased(other)
+            other.tile == lease.tile && !scheduler.is_leased(other)
         });
-        let needs = machine
+        let needs = scheduler
             .job(lease.job)
             .map(|job| &*job.work.plan.tiles[lease.tile.at()].needs);
         let since = job.waits_since(lease.tile, needs.unwrap_or_default());

@@ -11,7 +11,7 @@ use tokio::sync::mpsc;
 
 use crate::access::{Caller, Scope, Scopes};
 use crate::blobs::references;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::ids::Digest;
 use crate::jobs::control;
 use crate::jobs::delete;
@@ -22,8 +22,8 @@ use crate::outputs::commit::ResultError;
 use crate::quota::{Quotas, Usage, usage};
 use crate::results::partial;
 use crate::results::queries::{self, AskError};
-use crate::scheduler::{Failure, Introduction, Order, Progress};
-use crate::state::{Coordinator, Lacks};
+use crate::scheduler::{Failure, Introduction, Progress, WorkerCommand};
+use crate::state::{Coordinator, MissingBlob};
 use crate::store::JobState;
 use crate::tests::life::{coordinator, granted, nameless, put, two_tiles};
 use crate::uploads::complete::UploadError;
@@ -111,9 +111,9 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     let summary = control::summary(&c, id).unwrap();
     assert_eq!((summary.tiles_total, summary.cells_total), (2, 4105));
     let (out, mut orders) = mpsc::channel(64);
-    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
-    do_chores(&c, chores);
-    do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
+    let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
+    run_follow_ups(&c, follow_ups);
+    run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
     let grants = [granted(&mut orders), granted(&mut orders)];
     assert_eq!(grants[0].spec.ambient.unwrap().receivers, digest);
     let tile = |points: usize, value| Openness {
@@ -151,15 +151,15 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
             reason: "test".to_owned(),
             infrastructure: false,
         };
-        do_chores(
+        run_follow_ups(
             &c,
             sessions::heard(&c, joined.worker, Message::Failed(failure)),
         );
-        do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+        run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
         clock.advance(Duration::from_secs(1));
-        do_chores(&c, lifecycle::tick(&c));
+        run_follow_ups(&c, lifecycle::tick(&c));
         match orders.try_recv() {
-            Ok(Order::Grant(next)) => grant = *next,
+            Ok(WorkerCommand::Grant(next)) => grant = *next,
             _ => break,
         }
     }
@@ -200,16 +200,16 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
     let digest = send(&c, "", &bytes).unwrap();
     let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
     let (out, mut orders) = mpsc::channel(8);
-    let (joined, chores) = sessions::join(&c, worker(), Box::new(out)).unwrap();
-    do_chores(&c, chores);
-    do_chores(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+    let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
+    run_follow_ups(&c, follow_ups);
+    run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
     let grant = granted(&mut orders);
     let progress = Progress {
         lease: grant.lease,
         cells: 1,
         samples: 0,
     };
-    do_chores(
+    run_follow_ups(
         &c,
         sessions::heard(&c, joined.worker, Message::Progress(progress)),
     );
@@ -233,10 +233,10 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
         }
         panic!("{:?}", control::summary(&c, id).unwrap());
     };
-    until(&|| control::summary(&c, id).unwrap().lacks == Some(Lacks::Receivers(digest)));
+    until(&|| control::summary(&c, id).unwrap().lacks == Some(MissingBlob::Receivers(digest)));
     until(&|| control::summary(&c, id).unwrap().record.state == JobState::Paused);
     send(&c, "", &bytes).unwrap();
-    resume::back(&c, Lacks::Receivers(digest));
+    resume::back(&c, MissingBlob::Receivers(digest));
     until(&|| control::result(&c, id).is_ok());
     let result = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
     assert_eq!(Openness::of_result(&result).unwrap().values, [0.5; 3]);
@@ -381,7 +381,7 @@ fn what_is_no_job_of_receivers_is_refused() {
     assert!(send(&c, "ada", &of_blocks(&[3])).is_ok());
     let refused = scenes::put_chunk(&c, "ada", &of_blocks(&[2])).unwrap_err();
     assert!(
-        matches!(refused, UploadError::Having(HavingError::Beyond(_))),
+        matches!(refused, UploadError::Having(HavingError::LimitExceeded(_))),
         "{refused}"
     );
     // Other jobs go on as before.

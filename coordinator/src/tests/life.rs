@@ -17,19 +17,19 @@ use tokio::sync::mpsc;
 use crate::assemble::result::expected_nodes;
 use crate::clock::ManualClock;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::control::{self, JobError};
 use crate::jobs::submit::{Submission, SubmitError, submit};
 use crate::lifecycle;
-use crate::outputs::commit::{self, Announced, Origin, ResultError, Weight};
-use crate::scheduler::{Grant, Introduction, Order};
+use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
+use crate::scheduler::{Grant, Introduction, WorkerCommand};
 use crate::state::{Coordinator, Leases};
 use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
 use crate::workers::sessions::{self, Message};
 
-impl Outbox for mpsc::Sender<Order> {
-    fn offer(&self, order: Order) -> bool {
+impl Outbox for mpsc::Sender<WorkerCommand> {
+    fn offer(&self, order: WorkerCommand) -> bool {
         self.try_send(order).is_ok()
     }
 }
@@ -134,7 +134,7 @@ pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
 }
 
 /// Lets a worker join and want tiles.
-pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<Order>) {
+pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receiver<WorkerCommand>) {
     let (out, orders) = mpsc::channel(8);
     let profiles = vec!["cpu/test".to_owned()];
     let (name, signature) = (name.to_owned(), name.to_owned());
@@ -148,16 +148,16 @@ pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receive
         held: Vec::new(),
         helps: false,
     };
-    let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
-    do_chores(c, chores);
+    let (joined, follow_ups) = sessions::join(c, intro, Box::new(out)).unwrap();
+    run_follow_ups(c, follow_ups);
     let worker = joined.worker;
-    do_chores(c, sessions::heard(c, worker, Message::Want(2)));
+    run_follow_ups(c, sessions::heard(c, worker, Message::Want(2)));
     (worker, orders)
 }
 
-pub(crate) fn granted(orders: &mut mpsc::Receiver<Order>) -> Grant {
+pub(crate) fn granted(orders: &mut mpsc::Receiver<WorkerCommand>) -> Grant {
     match orders.try_recv() {
-        Ok(Order::Grant(grant)) => *grant,
+        Ok(WorkerCommand::Grant(grant)) => *grant,
         other => panic!("no grant: {other:?}"),
     }
 }
@@ -193,7 +193,7 @@ pub(crate) fn put(c: &Arc<Coordinator>, grant: &Grant, bytes: &[u8]) -> Result<(
     let (bytes_announced, lease) = (bytes.len() as u64, grant.lease);
     commit::put(
         c,
-        &Announced {
+        &UploadHeader {
             lease,
             digest,
             bytes: bytes_announced,
@@ -317,11 +317,11 @@ fn a_lease_that_is_not_renewed_goes_to_another_worker() {
     two_tiles(&c, scene);
     let (a, mut orders_a) = join(&c, "a");
     let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
-    do_chores(&c, sessions::heard(&c, a, Message::Draining));
+    run_follow_ups(&c, sessions::heard(&c, a, Message::Draining));
     clock.advance(Duration::from_secs(11));
-    do_chores(&c, lifecycle::tick(&c));
+    run_follow_ups(&c, lifecycle::tick(&c));
     assert_eq!(
-        leases.map(|l| orders_a.try_recv() == Ok(Order::Revoke(l))),
+        leases.map(|l| orders_a.try_recv() == Ok(WorkerCommand::Revoke(l))),
         [true, true]
     );
     let (_, mut orders_b) = join(&c, "b");

@@ -23,13 +23,13 @@ use tokio::sync::mpsc;
 
 use crate::access::Caller;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
 use crate::ids::{JobId, Lease, TileIndex};
 use crate::jobs::control;
 use crate::jobs::submit::{Submission, submit};
 use crate::lifecycle::{Config, tick};
-use crate::scheduler::{Event, Introduction, Order, Progress};
+use crate::scheduler::{Event, Introduction, Progress, WorkerCommand};
 use crate::state::Coordinator;
 use crate::store::{NewJob, SceneRecord, SledStore, Store, TileResult, TileStats};
 use crate::workers::sessions::{self, Message};
@@ -40,10 +40,10 @@ const TILES_OF_A_JOB: u64 = 50_000;
 struct Queue(mpsc::UnboundedSender<(Lease, Instant)>);
 
 impl Outbox for Queue {
-    fn offer(&self, order: Order) -> bool {
+    fn offer(&self, order: WorkerCommand) -> bool {
         match order {
-            Order::Grant(grant) => self.0.send((grant.lease, Instant::now())).is_ok(),
-            Order::Help(_) | Order::Revoke(_) | Order::Time { .. } => true,
+            WorkerCommand::Grant(grant) => self.0.send((grant.lease, Instant::now())).is_ok(),
+            WorkerCommand::Help(_) | WorkerCommand::Revoke(_) | WorkerCommand::Time { .. } => true,
         }
     }
 }
@@ -88,7 +88,7 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
 
 /// Commits a tile as an output that arrives does, without the output's own checks and file.
 fn commit(c: &Arc<Coordinator>, lease: Lease) {
-    assert!(c.lock().machine.admit(&lease).unwrap().counts);
+    assert!(c.lock().scheduler.admit(&lease).unwrap().counts);
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
     digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
@@ -105,7 +105,7 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
         stats: stats.clone(),
     };
     c.store.commit_tile(lease.job, lease.tile, result).unwrap();
-    do_chores(
+    run_follow_ups(
         c,
         tell(
             c,
@@ -159,9 +159,9 @@ fn one_coordinator_with_a_thousand_workers() {
         let ticks = tokio::spawn(async move {
             loop {
                 tokio::time::sleep(Duration::from_secs(1)).await;
-                let chores = tick(&ticking);
+                let follow_ups = tick(&ticking);
                 let c = Arc::clone(&ticking);
-                tokio::task::spawn_blocking(move || do_chores(&c, chores))
+                tokio::task::spawn_blocking(move || run_follow_ups(&c, follow_ups))
                     .await
                     .unwrap();
             }
@@ -226,10 +226,10 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
     let mut latencies = Vec::new();
     while done.load(Ordering::Relaxed) < enough {
         let wanted = Instant::now();
-        let chores = sessions::heard(c, worker, Message::Want(1));
-        if !chores.is_empty() {
+        let follow_ups = sessions::heard(c, worker, Message::Want(1));
+        if !follow_ups.is_empty() {
             let c = Arc::clone(c);
-            tokio::task::spawn_blocking(move || do_chores(&c, chores))
+            tokio::task::spawn_blocking(move || run_follow_ups(&c, follow_ups))
                 .await
                 .unwrap();
         }
@@ -311,7 +311,7 @@ fn ten_thousand_finished_jobs() {
         &Caller::Nobody,
         JobId(u64::MAX),
         1000,
-        &control::Wanted::default(),
+        &control::JobFilter::default(),
     )
     .unwrap();
     println!(

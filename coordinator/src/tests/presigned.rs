@@ -10,7 +10,7 @@ use tempfile::TempDir;
 
 use crate::clock::ManualClock;
 use crate::ids::{Digest, Lease, TileIndex};
-use crate::outputs::commit::{self, Announced, Origin, ResultError, Weight};
+use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
 use crate::scheduler::Grant;
 use crate::state::{Coordinator, Leases};
 use crate::store::{Address, BlobPlace, MemoryStore, ObjectBlobs, Staged};
@@ -101,7 +101,7 @@ fn write(address: &Address, bytes: &[u8]) {
 }
 
 fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), ResultError> {
-    let announced = Announced {
+    let announced = UploadHeader {
         lease: staged.lease,
         digest,
         bytes: staged.bytes,

@@ -6,10 +6,10 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use crate::clock::ManualClock;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
 use crate::ids::{JobId, Lease, TileIndex};
-use crate::jobs::invalidate::{self, Which};
+use crate::jobs::invalidate::{self, TileFilter};
 use crate::jobs::stored_spec;
 use crate::outputs::commit::ResultError;
 use crate::scheduler::{Event, Grant, Introduction, Job, Output};
@@ -35,23 +35,23 @@ fn half_done() -> (Arc<Coordinator>, JobId, Grant) {
 /// Does what `sightline invalidate` does about tile 1.
 fn invalidate(c: &Arc<Coordinator>, job: JobId) {
     let tiles = [TileIndex(1)].into();
-    let which = Which {
+    let which = TileFilter {
         job: Some(job),
         tiles,
         to_ms: u64::MAX,
-        ..Which::default()
+        ..TileFilter::default()
     };
-    let mut chores = Vec::new();
+    let mut follow_ups = Vec::new();
     {
         let _turn = c.turn();
         assert_eq!(
-            invalidate::invalidate(c, &which, &mut chores)
+            invalidate::invalidate(c, &which, &mut follow_ups)
                 .unwrap()
                 .get(&job),
             Some(&1)
         );
     }
-    do_chores(c, chores);
+    run_follow_ups(c, follow_ups);
 }
 
 /// What the store and the scheduler have of a tile, which is the same.
@@ -60,7 +60,7 @@ fn is_done(c: &Coordinator, job: JobId, tile: u32) -> bool {
         c.store.tile(job, TileIndex(tile)).unwrap().state,
         TileState::Done { .. }
     );
-    let scheduled = c.lock().machine.job(job).unwrap().tiles[tile as usize].output;
+    let scheduled = c.lock().scheduler.job(job).unwrap().tiles[tile as usize].output;
     assert_eq!(
         stored,
         scheduled != Output::Open,
@@ -107,11 +107,11 @@ fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     let record = c.store.job(id).unwrap().unwrap();
     let spec = stored_spec::whole(&*c.blobs, &record.spec).unwrap();
     let job = Job::of(record, &spec, c.store.tiles(id).unwrap()).unwrap();
-    let chores = tell(&c, Event::TakenUp(Box::new(job)));
+    let follow_ups = tell(&c, Event::TakenUp(Box::new(job)));
     drop(opening);
     let answer = thread.join().unwrap();
     assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
-    do_chores(&c, chores);
+    run_follow_ups(&c, follow_ups);
     assert_eq!([0, 1].map(|tile| is_done(&c, id, tile)), [false, false]);
 }
 
@@ -153,8 +153,8 @@ fn kept(c: &Arc<Coordinator>, held: Vec<Lease>) -> Vec<Lease> {
         held,
         helps: false,
     };
-    let (joined, chores) = sessions::join(c, intro, Box::new(out)).unwrap();
-    do_chores(c, chores);
+    let (joined, follow_ups) = sessions::join(c, intro, Box::new(out)).unwrap();
+    run_follow_ups(c, follow_ups);
     joined.kept
 }
 

@@ -5,18 +5,18 @@ use std::time::Duration;
 
 use crate::blobs::references;
 use crate::clock::ManualClock;
-use crate::dispatch::run::do_chores;
+use crate::dispatch::run::run_follow_ups;
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::control;
-use crate::jobs::invalidate::{self, Which};
+use crate::jobs::invalidate::{self, TileFilter};
 use crate::jobs::resume;
 use crate::jobs::retention::tidy_up;
 use crate::jobs::submit::{SubmitError, submit};
 use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::quota::Quotas;
-use crate::scheduler::Order;
-use crate::state::{Coordinator, Lacks, Leases};
+use crate::scheduler::WorkerCommand;
+use crate::state::{Coordinator, Leases, MissingBlob};
 use crate::store::{
     Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState,
 };
@@ -30,7 +30,7 @@ use sightline_model::JobSpec;
 use sightline_scene::{Object, Scene, Triangle};
 use sightline_viewcells::Division;
 
-type Orders = tokio::sync::mpsc::Receiver<Order>;
+type Orders = tokio::sync::mpsc::Receiver<WorkerCommand>;
 
 /// A coordinator that has every tile computed again.
 fn checking() -> (Arc<Coordinator>, Arc<ManualClock>, Digest) {
@@ -87,11 +87,13 @@ fn work(
 ) -> usize {
     let mut done = 0;
     while let Ok(order) = orders.try_recv() {
-        let Order::Grant(grant) = order else { continue };
+        let WorkerCommand::Grant(grant) = order else {
+            continue;
+        };
         let visible: &[u32] = if lies { &[] } else { &[0] };
         // A result that nobody wants any more is refused.
         drop(put(c, &grant, &output(&grant, visible)));
-        do_chores(c, sessions::heard(c, worker, Message::Want(1)));
+        run_follow_ups(c, sessions::heard(c, worker, Message::Want(1)));
         done += 1;
     }
     done
@@ -116,7 +118,7 @@ fn a_liar_is_found_and_what_it_did_is_computed_again() {
     let mut workers = ["ada", "bob"].map(|name| join(&c, name));
     wait_until("the end", || {
         clock.advance(Duration::from_millis(200));
-        do_chores(&c, lifecycle::tick(&c));
+        run_follow_ups(&c, lifecycle::tick(&c));
         for (worker, orders) in &mut workers {
             work(&c, *worker, orders, false);
         }
@@ -153,25 +155,25 @@ fn what_a_person_does_not_believe_is_computed_again() {
     work(&c, worker, &mut orders, false);
     wait_until("the end", || control::result(&c, id).is_ok());
     let before = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
-    let invalidate = |which: Which| {
-        let mut chores = Vec::new();
+    let invalidate = |which: TileFilter| {
+        let mut follow_ups = Vec::new();
         let opened = {
             let _turn = c.turn();
-            invalidate::invalidate(&c, &which, &mut chores).unwrap()
+            invalidate::invalidate(&c, &which, &mut follow_ups).unwrap()
         };
-        do_chores(&c, chores);
+        run_follow_ups(&c, follow_ups);
         opened
     };
-    let all = Which {
+    let all = TileFilter {
         to_ms: u64::MAX,
-        ..Which::default()
+        ..TileFilter::default()
     };
-    let none = Which {
+    let none = TileFilter {
         worker: Some("bob".to_owned()),
         ..all.clone()
     };
     assert!(invalidate(none).is_empty());
-    let far = Which {
+    let far = TileFilter {
         job: Some(id),
         tiles: [TileIndex(2)].into(),
         ..all.clone()
@@ -182,7 +184,7 @@ fn what_a_person_does_not_believe_is_computed_again() {
         "{refused:?}"
     );
     // Of a done job the other tiles are gone, so all are computed again.
-    let one = Which {
+    let one = TileFilter {
         job: Some(id),
         tiles: [TileIndex(1)].into(),
         ..all
@@ -207,9 +209,9 @@ fn an_output_that_is_lost_before_the_end_is_computed_again() {
     put(&c, &grants[0], &first).unwrap();
     assert!(c.blobs.remove(blake3::hash(&first).as_bytes()).unwrap());
     put(&c, &grants[1], &output(&grants[1], &[])).unwrap();
-    do_chores(&c, sessions::heard(&c, worker, Message::Want(2)));
+    run_follow_ups(&c, sessions::heard(&c, worker, Message::Want(2)));
     wait_until("the tile again", || {
-        if let Ok(Order::Grant(grant)) = orders.try_recv() {
+        if let Ok(WorkerCommand::Grant(grant)) = orders.try_recv() {
             assert_eq!(grant.lease.tile, grants[0].lease.tile);
             put(&c, &grant, &first).unwrap();
         }
@@ -244,7 +246,7 @@ fn a_scene_that_is_lost_before_the_end_is_waited_for() {
             .for_each(|grant| put(&c, grant, &output(grant, &[0])).unwrap());
         let summary = || control::summary(&c, id).unwrap();
         wait_until("the pause", || summary().record.state == JobState::Paused);
-        assert_eq!(summary().lacks, Some(Lacks::Scene(scene)));
+        assert_eq!(summary().lacks, Some(MissingBlob::Scene(scene)));
         // Resumed without it, the job waits again.
         control::resume(&c, id).unwrap();
         wait_until("the pause again", || summary().lacks.is_some());
@@ -252,7 +254,7 @@ fn a_scene_that_is_lost_before_the_end_is_waited_for() {
             summary().record.state == JobState::Paused
         });
         c.take_scene(&self::scene()).unwrap();
-        resume::back(&c, Lacks::Scene(scene));
+        resume::back(&c, MissingBlob::Scene(scene));
         wait_until("the end", || control::result(&c, id).is_ok());
         assert_eq!(
             c.blobs.read(&control::result(&c, id).unwrap()).unwrap(),
@@ -441,7 +443,7 @@ fn a_worker_that_was_right_later_answers_for_what_was_wrong_before() {
     let mut workers = ["ada", "bob"].map(|name| join(&c, name));
     wait_until("the end", || {
         clock.advance(Duration::from_millis(200));
-        do_chores(&c, lifecycle::tick(&c));
+        run_follow_ups(&c, lifecycle::tick(&c));
         for (worker, orders) in &mut workers {
             work(&c, *worker, orders, false);
         }

@@ -16,7 +16,7 @@ use crate::quota::Usage;
 use crate::state::{Coordinator, StoredReceivers};
 use crate::store::{BlobError, StoreError};
 use crate::uploads::complete::{ListBytes, UploadError, announced, forget_chunks, here, join};
-use crate::users::quota_check::{may_have, turn_of};
+use crate::users::quota_check::{reserve_quota, turn_of};
 
 /// Receivers that were stored longer ago than this are dated anew when a job names them: blobs that nobody
 /// needs are removed after a day.
@@ -74,7 +74,7 @@ pub(crate) fn put(
     } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     // As chunks they count already.
-    may_have(
+    reserve_quota(
         c,
         owner,
         Usage {

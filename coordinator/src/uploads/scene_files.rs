@@ -10,7 +10,7 @@ use crate::state::Coordinator;
 use crate::store::SceneRecord;
 use crate::uploads::scenes::TakeError;
 use crate::uploads::spool::{Spool, SpoolError};
-use crate::users::quota_check::{may_have, turn_of};
+use crate::users::quota_check::{reserve_quota, turn_of};
 
 /// Most bytes of a file. It is in memory while it is read.
 const MOST_BYTES: u64 = 1 << 30;
@@ -50,7 +50,7 @@ pub(crate) fn begin(c: &Coordinator, owner: &str, bytes: u64) -> Result<Spool, F
         return Err(FileError::TooLong { bytes });
     }
     let _turn = turn_of(c, owner);
-    may_have(
+    reserve_quota(
         c,
         owner,
         Usage {

@@ -11,7 +11,7 @@ use crate::state::{Coordinator, SceneFacts};
 use crate::store::{BlobError, SceneRecord, StoreError};
 use crate::telemetry::metrics::Cache;
 use crate::uploads::complete::{ListBytes, UploadError, announced, forget_chunks, here, join};
-use crate::users::quota_check::{HavingError, may_have, may_send, turn_of};
+use crate::users::quota_check::{HavingError, may_send, reserve_quota, turn_of};
 
 /// Most bytes of a scene, which is in memory while it is checked.
 const MOST_BYTES: u64 = 16 << 30;
@@ -59,7 +59,7 @@ impl Coordinator {
             scenes: 1,
             ..Usage::default()
         };
-        may_have(self, owner, more, 0)?;
+        reserve_quota(self, owner, more, 0)?;
         let digest = self.blobs.put(&bytes)?;
         remember(self, digest, scene);
         self.store
@@ -140,7 +140,7 @@ pub(crate) fn put_scene(
     } = announced(c, owner, owned, chunks, MOST_BYTES)?;
     let _turn = turn_of(c, owner);
     if !owned {
-        may_have(
+        reserve_quota(
             c,
             owner,
             Usage {
@@ -252,10 +252,10 @@ mod tests {
     use super::*;
     use crate::clock::SystemClock;
     use crate::ids::Epoch;
-    use crate::scheduler::{Machine, Settings};
+    use crate::scheduler::{Scheduler, Settings};
     use crate::state::Leases;
     use crate::store::{FileBlobs, MemoryStore, Outcomes, Store as _};
-    use crate::telemetry::events::Chronicle;
+    use crate::telemetry::events::EventLog;
     use crate::workers::crews::Crews;
     use sightline_scene::Object;
 
@@ -273,7 +273,7 @@ mod tests {
             spot_check: 0.0,
             spot_seed: 0,
         };
-        let scheduler = Machine::new(settings);
+        let scheduler = Scheduler::new(settings);
         let crews = Crews::new(Outcomes::nowhere());
         let (boxed, clock) = (Box::new(blobs.clone()), Box::new(SystemClock));
         let coordinator = Coordinator::of(
@@ -282,7 +282,7 @@ mod tests {
             store,
             boxed,
             clock,
-            (crews, Chronicle::nowhere()),
+            (crews, EventLog::nowhere()),
             scheduler,
         );
         let triangle = Triangle {

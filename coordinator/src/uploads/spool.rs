@@ -7,7 +7,7 @@ use sightline_proto::chunks::{ChunkError, Sequence};
 use sightline_proto::v1;
 
 use crate::ids::Digest;
-use crate::quota::{Beyond, Reserved, Sender};
+use crate::quota::{LimitExceeded, Reserved, Sender};
 use crate::state::Coordinator;
 use crate::store::BlobError;
 
@@ -35,7 +35,7 @@ enum Place {
 pub(crate) enum SpoolError {
     /// The upload is too large for now.
     #[error(transparent)]
-    Beyond(#[from] Beyond),
+    LimitExceeded(#[from] LimitExceeded),
     /// A chunk is damaged or not the next one, or some are missing.
     #[error(transparent)]
     Chunk(#[from] ChunkError),
@@ -58,7 +58,7 @@ impl Spool {
     /// Begins an upload of `announced` bytes. Reserves the bytes before the first one arrives.
     ///
     /// # Errors
-    /// [`SpoolError::Beyond`] when unfinished uploads have too many bytes already.
+    /// [`SpoolError::LimitExceeded`] when unfinished uploads have too many bytes already.
     pub(crate) fn begin(
         c: &Coordinator,
         sender: Sender<'_>,
@@ -245,7 +245,7 @@ mod tests {
             ));
             assert!(matches!(
                 Spool::begin(&c, Sender::Worker, u64::MAX),
-                Err(SpoolError::Beyond(_))
+                Err(SpoolError::LimitExceeded(_))
             ));
         }
     }

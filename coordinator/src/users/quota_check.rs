@@ -3,7 +3,7 @@
 use std::sync::{MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::quota::{Beyond, Quota, Usage, usage};
+use crate::quota::{LimitExceeded, Quota, Usage, usage};
 use crate::state::Coordinator;
 use crate::store::StoreError;
 use crate::uploads::chunks::MAX_CHUNKS;
@@ -16,7 +16,7 @@ const COUNTED_EVERY: Duration = Duration::from_secs(2);
 pub enum HavingError {
     /// It would be too much.
     #[error(transparent)]
-    Beyond(#[from] Beyond),
+    LimitExceeded(#[from] LimitExceeded),
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -34,7 +34,7 @@ pub(crate) fn turn_of<'a>(c: &'a Coordinator, owner: &str) -> Option<MutexGuard<
 
 /// Whether an owner may have this, too; nobody may have anything. Chunks that are no scene yet count, but for
 /// `known` bytes of them that become what is asked for.
-pub(crate) fn may_have(
+pub(crate) fn reserve_quota(
     c: &Coordinator,
     owner: &str,
     more: Usage,
@@ -48,7 +48,7 @@ pub(crate) fn may_have(
 pub(crate) fn may_send(c: &Coordinator, owner: &str, bytes: u64) -> Result<(), HavingError> {
     if !c.uploads.has_room(owner) {
         let (user, most) = (owner.to_owned(), MAX_CHUNKS as u64);
-        let beyond = Beyond::Quota {
+        let beyond = LimitExceeded::Quota {
             user,
             what: "chunks that are no scene yet",
             most,

@@ -18,14 +18,14 @@ pub(crate) const WAITING: usize = 16;
 
 /// Items of a phase for a helper.
 #[derive(Clone, Debug)]
-pub(crate) struct Take {
+pub(crate) struct Assignment {
     pub(crate) phase: u32,
     pub(crate) items: Vec<u32>,
 }
 
 /// What the leader is told.
 #[derive(Debug)]
-pub(crate) enum Told {
+pub(crate) enum LeaderMessage {
     Joined(u64),
     Left(u64),
     /// The outcomes of this many phases are there.
@@ -46,15 +46,15 @@ pub(crate) enum Told {
 /// All crews.
 pub(crate) struct Crews {
     pub(crate) outcomes: Outcomes,
-    rooms: Mutex<BTreeMap<(JobId, TileIndex), Arc<Room>>>,
+    rooms: Mutex<BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>>,
     /// Held while a crew opens or closes and the scheduler hears of it.
     turn: Mutex<()>,
 }
 
 /// A crew with a leader.
-pub(crate) struct Room {
+pub(crate) struct CrewChannel {
     pub(crate) lease: Lease,
-    pub(crate) to_leader: mpsc::Sender<Told>,
+    pub(crate) to_leader: mpsc::Sender<LeaderMessage>,
     helpers: Mutex<Helpers>,
     /// Number of outcomes that are there.
     pub(crate) outcomes: watch::Sender<u32>,
@@ -67,17 +67,17 @@ pub(crate) struct Room {
 struct Helpers {
     /// Numbers are not used again: a message about the last bearer may be on its way.
     next: u64,
-    mailboxes: BTreeMap<u64, mpsc::Sender<Take>>,
+    mailboxes: BTreeMap<u64, mpsc::Sender<Assignment>>,
 }
 
-impl Room {
+impl CrewChannel {
     /// The tile of the crew.
     pub(crate) fn tile(&self) -> (JobId, TileIndex) {
         (self.lease.job, self.lease.tile)
     }
 
     /// Lets a helper in; its number and its mailbox.
-    pub(crate) fn enter(&self) -> (u64, mpsc::Receiver<Take>) {
+    pub(crate) fn enter(&self) -> (u64, mpsc::Receiver<Assignment>) {
         let (send, receive) = mpsc::channel(WAITING);
         let mut helpers = self.helpers();
         let member = helpers.next;
@@ -92,7 +92,7 @@ impl Room {
     }
 
     /// Passes items to a helper. One with a full mailbox does not get them, and has to go.
-    pub(crate) fn pass(&self, member: u64, take: Take) {
+    pub(crate) fn pass(&self, member: u64, take: Assignment) {
         let sent = self
             .helpers()
             .mailboxes
@@ -137,10 +137,14 @@ impl Crews {
 
     /// Opens the crew of a tile, of which so many outcomes are there, for the holder of its lease. A crew of
     /// an earlier leader ends. Returns the messages to the leader as well.
-    pub(crate) fn open(&self, lease: Lease, outcomes: u32) -> (Arc<Room>, mpsc::Receiver<Told>) {
+    pub(crate) fn open(
+        &self,
+        lease: Lease,
+        outcomes: u32,
+    ) -> (Arc<CrewChannel>, mpsc::Receiver<LeaderMessage>) {
         let tile = (lease.job, lease.tile);
         let (to_leader, told) = mpsc::channel(WAITING);
-        let room = Arc::new(Room {
+        let room = Arc::new(CrewChannel {
             lease,
             to_leader,
             helpers: Mutex::default(),
@@ -154,7 +158,7 @@ impl Crews {
     }
 
     /// The crew that is led under a lease.
-    pub(crate) fn find(&self, lease: &Lease) -> Option<Arc<Room>> {
+    pub(crate) fn find(&self, lease: &Lease) -> Option<Arc<CrewChannel>> {
         self.rooms()
             .get(&(lease.job, lease.tile))
             .filter(|room| room.lease == *lease)
@@ -162,7 +166,7 @@ impl Crews {
     }
 
     /// Ends a crew; returns whether it was still the tile's.
-    pub(crate) fn close(&self, room: &Arc<Room>) -> bool {
+    pub(crate) fn close(&self, room: &Arc<CrewChannel>) -> bool {
         room.is_over.send_replace(true);
         let mut rooms = self.rooms();
         let is_current = rooms
@@ -174,7 +178,7 @@ impl Crews {
         is_current
     }
 
-    fn rooms(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<Room>>> {
+    fn rooms(&self) -> MutexGuard<'_, BTreeMap<(JobId, TileIndex), Arc<CrewChannel>>> {
         // Each change is whole before anything can panic.
         self.rooms.lock().unwrap_or_else(PoisonError::into_inner)
     }

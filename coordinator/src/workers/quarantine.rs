@@ -7,7 +7,7 @@ use crate::ids::worker_name;
 use crate::scheduler::Event;
 use crate::state::Coordinator;
 use crate::store::StoreError;
-use crate::telemetry::events::{Happening, Kind};
+use crate::telemetry::events::{Kind, LogEvent};
 
 /// Lets quarantined workers work again: the one with this signature, or all with this name. Returns whether
 /// any was quarantined.
@@ -26,7 +26,7 @@ pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreE
         if c.store.release(&signature)? {
             let text = format!("worker {signature} may work again");
             tracing::warn!("{text}");
-            c.happened(Happening::of(Kind::Worker, text).on(&signature));
+            c.happened(LogEvent::of(Kind::Worker, text).on(&signature));
             happened(c, Event::Released(signature));
             any = true;
         }

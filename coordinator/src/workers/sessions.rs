@@ -1,21 +1,21 @@
 //! Worker sessions: joining, the messages of a connected worker, leaving.
 //!
 //! Messages are handled where they arrive: the scheduler's lock is short, and what blocks is left to the
-//! caller as chores.
+//! caller as follow-ups.
 
 use std::sync::Arc;
 
 use tokio::sync::mpsc;
 
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::{self, Chore, tell};
+use crate::dispatch::{self, FollowUp, tell};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::scheduler::{
     Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
 };
 use crate::state::Coordinator;
-use crate::telemetry::events::{Happening, Kind};
-use crate::workers::crews::{Room, Told};
+use crate::telemetry::events::{Kind, LogEvent};
+use crate::workers::crews::{CrewChannel, LeaderMessage};
 
 /// A message of a connected worker.
 pub(crate) enum Message {
@@ -41,31 +41,31 @@ pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
     out: Box<dyn Outbox>,
-) -> Result<(Joined, Vec<Chore>), NameTaken> {
+) -> Result<(Joined, Vec<FollowUp>), NameTaken> {
     let joining = format!(
         "worker {} has joined, with {}",
         intro.name,
         intro.profiles.join(", ")
     );
     let name = intro.name.clone();
-    let (joined, chores) = dispatch::join(c, intro, out);
+    let (joined, follow_ups) = dispatch::join(c, intro, out);
     let joined = joined?;
     c.spans.held_again(&name, &joined.kept);
     tracing::info!("{joining}");
-    c.happened(Happening::of(Kind::Worker, joining).on(name));
-    Ok((joined, chores))
+    c.happened(LogEvent::of(Kind::Worker, joining).on(name));
+    Ok((joined, follow_ups))
 }
 
 /// Removes a worker whose stream has ended.
-pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore> {
-    let (departure, chores) = dispatch::leave(c, worker);
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<FollowUp> {
+    let (departure, follow_ups) = dispatch::leave(c, worker);
     let text = match departure {
         Departure::Drained => format!("worker {name} has drained and left"),
         Departure::Lost => format!("worker {name} has gone"),
     };
     tracing::info!("{text}");
-    c.happened(Happening::of(Kind::Worker, text).on(name));
-    chores
+    c.happened(LogEvent::of(Kind::Worker, text).on(name));
+    follow_ups
 }
 
 /// Opens the crew of a tile for the holder of its lease; `None` when the lease is not valid or that of a
@@ -73,18 +73,22 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Chore>
 pub(crate) fn lead(
     c: &Coordinator,
     lease: Lease,
-) -> Option<(Arc<Room>, mpsc::Receiver<Told>, Vec<Chore>)> {
+) -> Option<(
+    Arc<CrewChannel>,
+    mpsc::Receiver<LeaderMessage>,
+    Vec<FollowUp>,
+)> {
     // Reads a file, before anybody has to wait.
     let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
     // The machine hears of crews in the order in which they open and close.
     let _turn = c.crews.turn();
     {
         let scheduling = c.lock();
-        let is_leased = |lease: &Lease| scheduling.machine.is_leased(lease);
+        let is_leased = |lease: &Lease| scheduling.scheduler.is_leased(lease);
         // Where two workers compute a tile, the first has the helpers.
         // A check goes on from nothing that anybody has kept, and keeps nothing: what a wrong worker has left
         // would make the next one agree with it.
-        let is_check = scheduling.machine.is_check(&lease);
+        let is_check = scheduling.scheduler.is_check(&lease);
         if !is_leased(&lease) || is_check || c.crews.is_led_by_another(&lease, is_leased) {
             return None;
         }
@@ -95,7 +99,7 @@ pub(crate) fn lead(
 
 /// A crew has ended: its leader has no use for helpers any more.
 #[must_use]
-pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
+pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<CrewChannel>) -> Vec<FollowUp> {
     let _turn = c.crews.turn();
     // The same leader may have opened another crew meanwhile.
     if c.crews.close(room) {
@@ -107,7 +111,7 @@ pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<Room>) -> Vec<Chore> {
 
 /// Acts on a message of a worker.
 #[must_use]
-pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<Chore> {
+pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<FollowUp> {
     tell(
         c,
         match message {

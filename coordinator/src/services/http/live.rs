@@ -21,7 +21,7 @@ use super::site::{Site, failure, json};
 use crate::access::Caller;
 use crate::ids::JobId;
 use crate::jobs::tiles;
-use crate::scheduler::Standing;
+use crate::scheduler::TileStatus;
 use crate::state::Coordinator;
 
 /// Shortest time between two messages about a job.
@@ -117,7 +117,7 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
     let c = &site.coordinator;
     let mut changes = c.watched().subscribe(id);
     let mut grown = c.chronicle.grown();
-    let mut before: Vec<Standing> = Vec::new();
+    let mut before: Vec<TileStatus> = Vec::new();
     let mut after = c.chronicle.before_last(id, EVENTS);
     loop {
         changes.mark_unchanged();
@@ -191,7 +191,7 @@ async fn of_job(
 }
 
 /// How tiles stand: a digit for each tile, or the changes since `before` as pairs of tile and digit.
-fn changed_tiles(before: &[Standing], now: &[Standing]) -> String {
+fn changed_tiles(before: &[TileStatus], now: &[TileStatus]) -> String {
     if before.len() != now.len() {
         let digits: String = now.iter().map(|s| char::from(b'0' + *s as u8)).collect();
         return format!("\"{digits}\"");
@@ -241,7 +241,7 @@ mod tests {
 
     #[test]
     fn tiles_are_told_whole_and_then_by_change() {
-        use Standing::{Done, Ready, Running};
+        use TileStatus::{Done, Ready, Running};
         assert_eq!(changed_tiles(&[], &[Ready, Running, Done]), "\"245\"");
         assert_eq!(
             changed_tiles(&[Ready, Ready, Ready], &[Ready, Running, Done]),

@@ -95,7 +95,7 @@ async fn keep_workers(c: Arc<Coordinator>, this: Arc<Snapshots>) {
     loop {
         watched(&this.workers).await;
         let now = c.now_plain();
-        let roster = c.lock().machine.roster(now);
+        let roster = c.lock().scheduler.roster(now);
         let workers = roster.into_iter().map(wire::member).collect();
         // The page shows the trouble of those that are connected.
         let answer = v1::ListWorkersResponse {
@@ -167,7 +167,7 @@ fn gone(before: &Listed, now: &Listed) -> Vec<u64> {
 
 /// What a watcher is sent.
 fn event(c: &Coordinator, whole: bool, older: bool, jobs: &[&str], gone: &[u64]) -> String {
-    let (now, workers) = (c.now().unix_ms, c.lock().machine.workers());
+    let (now, workers) = (c.now().unix_ms, c.lock().scheduler.workers());
     format!(
         r#"{{"whole":{whole},"older":{older},"now":{now},"workers":{workers},"gone":{gone:?},"jobs":[{}]}}"#,
         jobs.join(",")

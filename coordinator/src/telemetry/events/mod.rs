@@ -64,7 +64,7 @@ impl Kind {
 
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Happening {
+pub(crate) struct LogEvent {
     pub(crate) kind: Kind,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) job: Option<JobId>,
@@ -76,7 +76,7 @@ pub(crate) struct Happening {
     pub(crate) text: String,
 }
 
-impl Happening {
+impl LogEvent {
     /// An event of no job.
     pub(crate) fn of(kind: Kind, text: impl Into<String>) -> Self {
         Self {
@@ -120,7 +120,7 @@ pub(crate) struct Entry {
     /// Milliseconds since 1970.
     pub(crate) at_ms: u64,
     #[serde(flatten)]
-    pub(crate) what: Happening,
+    pub(crate) what: LogEvent,
 }
 
 /// What is in memory.
@@ -132,7 +132,7 @@ struct Kept {
 }
 
 /// All events.
-pub(crate) struct Chronicle {
+pub(crate) struct EventLog {
     kept: Mutex<Kept>,
     /// The number of the last event.
     grown: watch::Sender<u64>,
@@ -142,7 +142,7 @@ pub(crate) struct Chronicle {
     piece: Mutex<Option<File>>,
 }
 
-impl Chronicle {
+impl EventLog {
     /// Events in memory alone.
     pub(crate) fn nowhere() -> Self {
         Self {
@@ -170,7 +170,7 @@ impl Chronicle {
     }
 
     /// Notes an event. Does not block on the disk.
-    pub(crate) fn record(&self, at_ms: u64, mut what: Happening) {
+    pub(crate) fn record(&self, at_ms: u64, mut what: LogEvent) {
         cut(&mut what.text);
         let mut kept = self.kept();
         let entry = Entry {
@@ -295,15 +295,15 @@ fn append(directory: &Path, piece: &mut Option<File>, bytes: &[u8]) -> std::io::
 mod tests {
     use super::*;
 
-    fn event(n: u64) -> Happening {
-        Happening::of_job(Kind::Job, JobId(n % 3), format!("event {n}"))
+    fn event(n: u64) -> LogEvent {
+        LogEvent::of_job(Kind::Job, JobId(n % 3), format!("event {n}"))
     }
 
     #[test]
     fn events_outlive_a_restart_and_go_on() {
         let directory = tempfile::tempdir().unwrap();
         for run in 0..3 {
-            let chronicle = Chronicle::of(directory.path().to_owned());
+            let chronicle = EventLog::of(directory.path().to_owned());
             (0..10).for_each(|n| chronicle.record(run * 100 + n, event(run * 10 + n)));
             chronicle.write();
             let (all, last) = chronicle.after(None, 0, usize::MAX);
@@ -320,18 +320,18 @@ mod tests {
     #[test]
     fn a_torn_line_costs_itself_alone() {
         let directory = tempfile::tempdir().unwrap();
-        let chronicle = Chronicle::of(directory.path().to_owned());
+        let chronicle = EventLog::of(directory.path().to_owned());
         (0..4).for_each(|n| chronicle.record(n, event(n)));
         chronicle.write();
         let file = directory.path().join(PIECES[0]);
         let mut bytes = std::fs::read(&file).unwrap();
         bytes.truncate(bytes.len() - 9);
         std::fs::write(&file, &bytes).unwrap();
-        let again = Chronicle::of(directory.path().to_owned());
+        let again = EventLog::of(directory.path().to_owned());
         again.record(9, event(9));
         again.write();
-        let third = Chronicle::of(directory.path().to_owned());
-        let texts = |c: &Chronicle| {
+        let third = EventLog::of(directory.path().to_owned());
+        let texts = |c: &EventLog| {
             c.after(None, 0, 99)
                 .0
                 .iter()
@@ -343,7 +343,7 @@ mod tests {
 
     #[test]
     fn a_page_says_where_the_next_begins() {
-        let chronicle = Chronicle::nowhere();
+        let chronicle = EventLog::nowhere();
         (0..9).for_each(|n| chronicle.record(n, event(n)));
         let (mut after, mut found) = (0, Vec::new());
         loop {
@@ -362,10 +362,10 @@ mod tests {
     #[test]
     fn memory_holds_the_last_events_and_the_file_two_pieces() {
         let directory = tempfile::tempdir().unwrap();
-        let chronicle = Chronicle::of(directory.path().to_owned());
+        let chronicle = EventLog::of(directory.path().to_owned());
         let text = "x".repeat(MOST_TEXT);
         for n in 0..40_000 {
-            chronicle.record(n, Happening::of(Kind::Coordinator, text.clone()));
+            chronicle.record(n, LogEvent::of(Kind::Coordinator, text.clone()));
             if n % 1000 == 0 {
                 chronicle.write();
             }
@@ -376,7 +376,7 @@ mod tests {
             .map(|e| e.unwrap().metadata().unwrap().len())
             .sum();
         assert!(bytes < 2 * PIECE_BYTES + (2 << 20), "{bytes}");
-        let again = Chronicle::of(directory.path().to_owned());
+        let again = EventLog::of(directory.path().to_owned());
         assert_eq!(again.after(None, 0, usize::MAX).1, 40_000);
     }
 }

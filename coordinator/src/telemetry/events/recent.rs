@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 
 use sightline_numbers::varint;
 
-use super::{Entry, Happening, Kind};
+use super::{Entry, Kind, LogEvent};
 use crate::ids::{JobId, TileIndex};
 
 /// Most bytes of the events that are kept. The block that grows may come on top.
@@ -151,7 +151,7 @@ impl Block {
         let length = varint::read(from, LONGEST).ok()?;
         let (worker, text) = from.split_at_checked(length as usize)?;
         let text_of = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-        let what = Happening {
+        let what = LogEvent {
             kind,
             job,
             tile,
@@ -197,7 +197,7 @@ mod tests {
         } else {
             format!("ä-{number}")
         };
-        let what = Happening {
+        let what = LogEvent {
             kind,
             job,
             tile,

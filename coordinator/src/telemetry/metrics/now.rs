@@ -12,7 +12,7 @@ use prometheus_client::registry::{Registry, Unit};
 
 use super::Labels;
 use super::disk::{bytes_below, free_bytes};
-use crate::scheduler::{Counts, Member};
+use crate::scheduler::{Counts, WorkerStatus};
 use crate::store::Carried;
 
 /// How old the sizes of directories may be: all their files are looked at.
@@ -25,7 +25,7 @@ pub(crate) struct Moment {
     /// The jobs that have not ended.
     pub(crate) jobs: Vec<Counts>,
     /// The connected workers.
-    pub(crate) members: Vec<Member>,
+    pub(crate) members: Vec<WorkerStatus>,
     /// Workers that get no tiles because their outputs were wrong.
     pub(crate) quarantined: usize,
     /// Where the data is, if it is in files.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::scheduler::{Counts, Member};
+use crate::scheduler::{Counts, WorkerStatus};
 use crate::store::Carried;
 
 const MANUAL: &str = include_str!("../../../../docs/operations.md");
@@ -35,7 +35,7 @@ fn served() -> BTreeMap<String, String> {
     metrics.went_directly("read", 1);
     metrics.fell_back("read");
     let directory = tempfile::tempdir().unwrap();
-    let member = Member {
+    let member = WorkerStatus {
         name: "ada".to_owned(),
         version: String::new(),
         profiles: vec!["cpu/x".to_owned()],

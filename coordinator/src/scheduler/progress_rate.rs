@@ -11,9 +11,9 @@ const OLD: u64 = 120_000;
 
 /// The progress of a job over the last minutes.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Pace(VecDeque<(u64, u64)>);
+pub(super) struct ProgressRate(VecDeque<(u64, u64)>);
 
-impl Pace {
+impl ProgressRate {
     /// Notes that so much is done.
     pub(super) fn mark(&mut self, ms: u64, done: u64) {
         if self.0.back().is_some_and(|(last, _)| ms < last + EVERY) {
@@ -48,7 +48,7 @@ mod tests {
 
     #[test]
     fn a_steady_job_is_foreseen() {
-        let mut pace = Pace::default();
+        let mut pace = ProgressRate::default();
         assert_eq!(pace.left(0, 0, 100), None);
         for second in 0..300u64 {
             pace.mark(second * 1000, second * 5);

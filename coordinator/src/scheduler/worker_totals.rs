@@ -4,14 +4,14 @@ use crate::store::TileStats;
 
 /// Finished tiles and what they took.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Ledger {
+pub(crate) struct WorkerTotals {
     pub(crate) tiles: u64,
     pub(crate) cells: u64,
     pub(crate) samples: u64,
     pub(crate) millis: u64,
 }
 
-impl Ledger {
+impl WorkerTotals {
     /// Adds a finished tile.
     pub(super) fn add(&mut self, stats: &TileStats) {
         self.tiles += 1;

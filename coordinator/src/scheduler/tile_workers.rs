@@ -1,6 +1,6 @@
 //! Who works on a job's tiles at present: for people.
 
-use super::machine::Machine;
+use super::state::Scheduler;
 use crate::ids::{JobId, TileIndex, WorkerId};
 
 /// Tiles that are listed.
@@ -18,7 +18,7 @@ pub(crate) struct Team {
     pub(crate) helpers: Vec<String>,
 }
 
-impl Machine {
+impl Scheduler {
     /// The first leased tiles of a job with their workers; none for a job that has ended.
     pub(crate) fn teams(&self, id: JobId) -> Vec<Team> {
         let Some(job) = self.jobs.get(&id) else {

@@ -1,12 +1,12 @@
 //! How the tiles of a job stand: for people.
 
 use super::job::{Job, Output, Tile};
-use super::machine::{Leased, Machine};
+use super::state::{Leased, Scheduler};
 use crate::ids::JobId;
 
 /// How a tile stands. The numbers are those of `v1::TileState`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Standing {
+pub(crate) enum TileStatus {
     Waiting = 1,
     Ready = 2,
     Leased = 3,
@@ -18,7 +18,7 @@ pub(crate) enum Standing {
 /// A tile of a job that has not ended.
 #[derive(Clone, Debug)]
 pub(crate) struct Live {
-    pub(crate) standing: Standing,
+    pub(crate) standing: TileStatus,
     /// Cells and samples that its worker has reported.
     pub(crate) cells: u64,
     pub(crate) samples: u64,
@@ -26,9 +26,9 @@ pub(crate) struct Live {
     pub(crate) workers: Vec<String>,
 }
 
-impl Machine {
+impl Scheduler {
     /// How all tiles of a job stand, in their order; `None` for a job that has ended.
-    pub(crate) fn standings(&self, id: JobId) -> Option<Vec<Standing>> {
+    pub(crate) fn standings(&self, id: JobId) -> Option<Vec<TileStatus>> {
         let job = self.jobs.get(&id)?;
         Some(
             job.tiles
@@ -54,19 +54,19 @@ impl Machine {
         Some(job.tiles.get(range)?.iter().map(live).collect())
     }
 
-    fn standing(&self, job: &Job, tile: &Tile) -> Standing {
+    fn standing(&self, job: &Job, tile: &Tile) -> TileStatus {
         match tile.output {
-            Output::Done(_) => Standing::Done,
-            Output::SetAside(_) => Standing::SetAside,
+            Output::Done(_) => TileStatus::Done,
+            Output::SetAside(_) => TileStatus::SetAside,
             Output::Open if tile.leases != [None; 2] => {
                 match self.leases_of(tile).any(|lease| lease.begun.is_some()) {
-                    true => Standing::Running,
-                    false => Standing::Leased,
+                    true => TileStatus::Running,
+                    false => TileStatus::Leased,
                 }
             }
             Output::Open => match self.allowed(job) && !job.grace && tile.can_be_leased() {
-                true => Standing::Ready,
-                false => Standing::Waiting,
+                true => TileStatus::Ready,
+                false => TileStatus::Waiting,
             },
         }
     }

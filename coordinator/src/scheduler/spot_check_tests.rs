@@ -11,7 +11,7 @@ const WRONG: [u8; 32] = [2; 32];
 /// A job of one tile, all of whose tiles are checked.
 fn checked() -> (Bench, JobId) {
     let mut bench = empty(1);
-    bench.machine.settings.spot_check = 1.0;
+    bench.scheduler.settings.spot_check = 1.0;
     let job = bench.add(1, "", 0, false);
     (bench, job)
 }
@@ -20,7 +20,7 @@ impl Bench {
     /// A worker delivers the tile that it was granted last.
     fn deliver(&mut self, worker: WorkerId, name: &str, digest: [u8; 32]) {
         let lease = *self.grants(worker).last().unwrap();
-        let checks = self.machine.admit(&lease).unwrap().checks;
+        let checks = self.scheduler.admit(&lease).unwrap().checks;
         if checks {
             self.step(Event::Checked { lease, digest });
         } else {
@@ -44,8 +44,8 @@ impl Bench {
     }
 
     fn condemned(&self) -> Vec<String> {
-        let names = |c: &Command| match c {
-            Command::Quarantine { workers, .. } => workers.clone(),
+        let names = |c: &StoreCommand| match c {
+            StoreCommand::Quarantine { workers, .. } => workers.clone(),
             _ => Vec::new(),
         };
         self.ran.iter().flat_map(names).collect()
@@ -69,7 +69,7 @@ fn a_tile_is_computed_again_elsewhere_before_its_job_ends() {
     b.deliver(bob, "bob", RIGHT);
     assert_eq!(b.assembled, [job]);
     assert!(
-        matches!(&b.ran[..], [Command::Confirm { worker, .. }] if worker == "bob"),
+        matches!(&b.ran[..], [StoreCommand::Confirm { worker, .. }] if worker == "bob"),
         "{:?}",
         b.ran
     );
@@ -121,7 +121,7 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         b.wait(1);
         // What waits for a third one comes before other tiles, whatever their priority.
         assert!(
-            b.machine
+            b.scheduler
                 .admit(b.grants(cy).last().unwrap())
                 .unwrap()
                 .checks
@@ -130,7 +130,7 @@ fn the_third_worker_decides_and_the_liar_is_quarantined() {
         let liar = if liar_first { "ada" } else { "bob" };
         assert_eq!(b.condemned(), [liar]);
         // What the liar still holds does not count, and the tile that it made keeps its job open.
-        assert!(b.machine.quarantined().contains(liar));
+        assert!(b.scheduler.quarantined().contains(liar));
         assert_eq!(b.assembled.is_empty(), liar_first);
         b.wait(1);
         let (honest, other) = if liar_first { (bob, ada) } else { (ada, bob) };
@@ -165,9 +165,9 @@ fn what_a_quarantined_worker_delivers_late_does_not_count() {
     let job = b.add(2, "", 0, false);
     let ada = b.arrive("ada");
     let lease = b.grants(ada)[0];
-    assert!(b.machine.admit(&lease).unwrap().counts);
+    assert!(b.scheduler.admit(&lease).unwrap().counts);
     b.step(Event::Quarantined("ada".to_owned()));
-    assert!(!b.machine.admit(&lease).unwrap().counts);
+    assert!(!b.scheduler.admit(&lease).unwrap().counts);
     b.want(ada, 1);
     assert_eq!(b.grants(ada).len(), 1);
     // Of leases of an earlier epoch it is not known who held them.
@@ -180,9 +180,11 @@ fn what_a_quarantined_worker_delivers_late_does_not_count() {
         tile: TileIndex(1),
         id,
     };
-    assert!(!b.machine.admit(&earlier).unwrap().counts);
+    assert!(!b.scheduler.admit(&earlier).unwrap().counts);
     b.step(Event::Released("ada".to_owned()));
-    assert!(b.machine.admit(&lease).unwrap().counts && b.machine.admit(&earlier).unwrap().counts);
+    assert!(
+        b.scheduler.admit(&lease).unwrap().counts && b.scheduler.admit(&earlier).unwrap().counts
+    );
     assert_eq!(b.grants(ada).len(), 2);
 }
 
@@ -206,13 +208,13 @@ fn a_check_that_fails_is_tried_again_and_left_in_the_end() {
 #[test]
 fn the_share_is_that_of_the_tiles() {
     let mut b = empty(1);
-    b.machine.settings.spot_check = 0.25;
+    b.scheduler.settings.spot_check = 0.25;
     b.add(400, "", 0, false);
     let ada = b.arrive("ada");
     for _ in 0..400 {
         b.deliver(ada, "ada", RIGHT);
     }
-    let drawn = b.machine.spotted.len();
+    let drawn = b.scheduler.spotted.len();
     assert!((60..140).contains(&drawn), "{drawn}");
 }
 
@@ -226,7 +228,7 @@ fn by_two() -> (Bench, WorkerId, WorkerId) {
     assert!(
         b.told[&bob]
             .iter()
-            .any(|order| matches!(order, Order::Help(_)))
+            .any(|order| matches!(order, WorkerCommand::Help(_)))
     );
     b.step(Event::CrewClosed(lease));
     b.step(Event::Helped(bob, lease));

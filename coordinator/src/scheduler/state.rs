@@ -12,13 +12,13 @@ use sightline_numbers::random::SplitMix64;
 
 use super::crew::Crew;
 use super::death::{Death, DeathOf, Missing};
-use super::event::{Command, Effect, Event, Note};
+use super::event::{Effect, Event, Note, StoreCommand};
 use super::job::{Job, Output, Work};
-use super::ledger::Ledger;
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
-use super::spot::Name;
+use super::spot_check::Name;
+use super::worker_totals::WorkerTotals;
 use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -31,7 +31,7 @@ const STALLED: u64 = 3000;
 /// After a standstill leases end at the earliest after this time, so that reports that wait are read first.
 const AFTER_STALL: u64 = 3000;
 
-/// How the machine is set up.
+/// How the scheduler is set up.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     /// This start of the coordinator.
@@ -59,7 +59,7 @@ pub(super) struct Worker {
     /// When it connected and when its last message came, in milliseconds since 1970.
     pub(super) joined: u64,
     pub(super) heard: u64,
-    pub(super) done: Ledger,
+    pub(super) done: WorkerTotals,
     pub(super) instance: u64,
     pub(super) profiles: BTreeSet<Profile>,
     /// For each choice whether it can serve it.
@@ -127,7 +127,7 @@ pub(super) enum Timer {
 
 /// The scheduler.
 #[derive(Debug)]
-pub(crate) struct Machine {
+pub(crate) struct Scheduler {
     pub(super) settings: Settings,
     pub(super) random: SplitMix64,
     pub(super) next_lease: u64,
@@ -161,7 +161,7 @@ pub(crate) struct Machine {
     /// The signatures of workers that get no tiles because their bytes were wrong.
     pub(super) quarantined: BTreeSet<Name>,
     /// What the store has refused to note about wrong workers.
-    pub(super) unsaid: Vec<Command>,
+    pub(super) unsaid: Vec<StoreCommand>,
     /// The last tick, and until when leases do not end because the coordinator stood still.
     last_tick: Option<u64>,
     pub(super) patient_until: u64,
@@ -170,7 +170,7 @@ pub(crate) struct Machine {
     pub(super) effects: Vec<Effect>,
 }
 
-impl Machine {
+impl Scheduler {
     /// A scheduler without jobs and workers.
     pub(crate) fn new(settings: Settings) -> Self {
         Self {
@@ -456,7 +456,7 @@ impl Machine {
     }
 }
 
-/// See [`Machine::admit`].
+/// See [`Scheduler::admit`].
 #[derive(Debug)]
 pub(crate) struct Admitted {
     /// What the job computes.

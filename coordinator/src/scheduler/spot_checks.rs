@@ -6,19 +6,19 @@
 //! it only if nobody else is there. When two answers differ, all who had a
 //! hand in either are suspects, and get nothing but checks of other tiles until the same answer has come
 //! twice. Then the others are quarantined: which of them was wrong, the bytes do not say. What they did since
-//! they were last right is computed again; that is a [`Command`] of the store. A job without another worker
-//! goes on unchecked after a while, and says so; one with two different answers waits.
+//! they were last right is computed again; that is a [`StoreCommand`] of the store. A job without another
+//! worker goes on unchecked after a while, and says so; one with two different answers waits.
 
 use std::collections::BTreeSet;
 
 use sightline_numbers::random::SplitMix64;
 
-use super::event::{Command, Effect, Note};
+use super::event::{Effect, Note, StoreCommand};
 use super::job::{Job, Output, Tile};
-use super::machine::{Machine, Worker};
 use super::messages::Now;
 use super::pools::Profile;
-use super::spot::{Answer, Name, Spot};
+use super::spot_check::{Name, Recomputation, SpotCheck};
+use super::state::{Scheduler, Worker};
 use crate::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -33,7 +33,7 @@ const MOST_TRIES: u32 = 3;
 /// The wait after a failed check, in milliseconds; it doubles with each further one, up to this many times.
 const AFTER_FAILURE: (u64, u32) = (1000, 6);
 
-impl Machine {
+impl Scheduler {
     /// A tile is done: draws whether it is checked.
     pub(super) fn draw(&mut self, id: JobId, tile: TileIndex, digest: Digest) {
         let share = self.settings.spot_check;
@@ -48,7 +48,7 @@ impl Machine {
         if timed || author.is_empty() || self.only.is_some() || draw.unit_f64() >= share {
             return;
         }
-        let spot = Spot::of(digest, Name::clone(author), hands.clone());
+        let spot = SpotCheck::of(digest, Name::clone(author), hands.clone());
         job.spots.insert(tile, spot);
         self.spotted.insert((id, tile));
     }
@@ -73,7 +73,7 @@ impl Machine {
             return;
         }
         let Tile { author, hands, .. } = &job.tiles[tile.at()];
-        let first = Spot::of(kept, Name::clone(author), hands.clone());
+        let first = SpotCheck::of(kept, Name::clone(author), hands.clone());
         job.spots.entry(tile).or_insert(first);
         self.spotted.insert((id, tile));
         self.take_answer(id, tile, digest, name);
@@ -162,7 +162,7 @@ impl Machine {
             // A job that was paused when only checks were left has no tile with which it would begin to run,
             // and nobody gets one where all workers are suspects.
             let starts = |job: &Job| {
-                let is_disputed = job.spots.get(&tile).is_some_and(Spot::is_disputed);
+                let is_disputed = job.spots.get(&tile).is_some_and(SpotCheck::is_disputed);
                 (job.open() == 0 || is_disputed) && self.allowed(job)
             };
             if self.jobs.get(&id).is_some_and(starts) {
@@ -193,7 +193,7 @@ impl Machine {
     }
 
     /// An idle worker that can check a tile. Suspects can decide between others' answers.
-    fn checker(&self, profile: &Profile, spot: &Spot) -> Option<WorkerId> {
+    fn checker(&self, profile: &Profile, spot: &SpotCheck) -> Option<WorkerId> {
         if !spot.is_disputed() {
             let mut hungry = self.pools.of.get(profile)?.hungry[0].iter();
             let may = |w: &&WorkerId| {
@@ -211,7 +211,7 @@ impl Machine {
     }
 
     /// Whether a worker can check a tile, once it has nothing else to do.
-    fn could_check(&self, w: &Worker, profile: &Profile, spot: &Spot) -> bool {
+    fn could_check(&self, w: &Worker, profile: &Profile, spot: &SpotCheck) -> bool {
         let name = &*w.signature;
         let barred = if spot.is_disputed() {
             self.quarantined.contains(name)
@@ -249,7 +249,7 @@ impl Machine {
     }
 
     /// A check that nobody has, and the profile that it needs.
-    fn due(&self, id: JobId, tile: TileIndex, now: Now) -> Option<(Profile, &Spot)> {
+    fn due(&self, id: JobId, tile: TileIndex, now: Now) -> Option<(Profile, &SpotCheck)> {
         let job = self.jobs.get(&id)?;
         let spot = job.spots.get(&tile)?;
         let runs =
@@ -293,7 +293,7 @@ impl Machine {
             w.profiles.contains(profile) && !w.draining && !self.is_barred(&w.signature)
         };
         let waits = job.open() == 0 || !self.workers.values().any(may_work);
-        let with_helpers = Spot {
+        let with_helpers = SpotCheck {
             helpers_may: true,
             ..spot.clone()
         };
@@ -414,7 +414,7 @@ impl Machine {
             .position(|answer| answer.digest == digest)
         else {
             let workers = BTreeSet::from([Name::clone(&name)]);
-            spot.answers.push(Answer {
+            spot.answers.push(Recomputation {
                 digest,
                 author: Name::clone(&name),
                 workers,
@@ -448,7 +448,7 @@ impl Machine {
         spot.condemned = !kept_is_right;
         if kept_is_right {
             self.forget_spot(id, tile);
-            let command = Command::Confirm {
+            let command = StoreCommand::Confirm {
                 job: id,
                 tile,
                 digest,
@@ -466,7 +466,7 @@ impl Machine {
             );
             let workers = wrong.iter().map(|name| name.to_string()).collect();
             let condemned = (!kept_is_right).then_some((id, tile));
-            self.effects.push(Effect::Run(Command::Quarantine {
+            self.effects.push(Effect::Run(StoreCommand::Quarantine {
                 workers,
                 condemned,
                 reason,

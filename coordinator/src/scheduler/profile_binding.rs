@@ -1,11 +1,11 @@
 //! Binding a job to the numerics profile that its tiles are computed with.
 
-use super::binding::{Binding, CLEARLY, fastest, profile_for};
-use super::event::{Command, Effect, Note};
+use super::event::{Effect, Note, StoreCommand};
 use super::failures::MAX_ATTEMPTS;
 use super::job::Parked;
-use super::machine::{Machine, Timer};
-use super::messages::{Now, Order, ProfileTime};
+use super::messages::{Now, ProfileTime, WorkerCommand};
+use super::profile_choice::{Binding, CLEARLY, fastest, profile_for};
+use super::state::{Scheduler, Timer};
 use crate::ids::{JobId, WorkerId};
 use sightline_model::{BackendChoice, NO_PROFILE};
 
@@ -14,7 +14,7 @@ const TIMING_LIMIT: u64 = 300_000;
 /// How long a job waits for more workers when those that are there could bind it to different profiles.
 const MORE_WORKERS: u64 = 1000;
 
-impl Machine {
+impl Scheduler {
     /// Takes one step for the first job without a profile that a worker waits for; returns whether it did.
     pub(super) fn bind_one(&mut self, now: Now) -> bool {
         for choice in 0..self.pools.unbound.len() {
@@ -54,7 +54,7 @@ impl Machine {
                 };
                 let spec = std::sync::Arc::clone(&job.work.spec);
                 self.effects
-                    .push(Effect::Tell(worker, Order::Time { job: id, spec }));
+                    .push(Effect::Tell(worker, WorkerCommand::Time { job: id, spec }));
                 if let Some(w) = self.workers.get_mut(&worker) {
                     w.timing.insert(id);
                 }
@@ -88,7 +88,8 @@ impl Machine {
     fn ask_to_bind(&mut self, id: JobId, profile: String) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.pending = true;
-            self.effects.push(Effect::Run(Command::Bind(id, profile)));
+            self.effects
+                .push(Effect::Run(StoreCommand::Bind(id, profile)));
             self.list_job(id);
         }
     }

@@ -1,4 +1,4 @@
-//! A tile that is to be computed again, and what was computed for it. `checking.rs` says how that goes.
+//! A tile that is to be computed again, and what was computed for it. `spot_checks.rs` says how that goes.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ pub(super) type Name = Arc<str>;
 
 /// What somebody has computed for a tile.
 #[derive(Clone, Debug)]
-pub(super) struct Answer {
+pub(super) struct Recomputation {
     pub(super) digest: Digest,
     /// Who has sent it.
     pub(super) author: Name,
@@ -18,7 +18,7 @@ pub(super) struct Answer {
     pub(super) workers: BTreeSet<Name>,
 }
 
-impl Answer {
+impl Recomputation {
     /// Those who may have made it wrong, where others have made the right one.
     pub(super) fn guilty(&self, right: &BTreeSet<Name>) -> BTreeSet<Name> {
         let others: BTreeSet<Name> = self.workers.difference(right).cloned().collect();
@@ -33,9 +33,9 @@ impl Answer {
 
 /// A done tile that is to be checked.
 #[derive(Clone, Debug)]
-pub(super) struct Spot {
+pub(super) struct SpotCheck {
     /// The first one is that of the tile.
-    pub(super) answers: Vec<Answer>,
+    pub(super) answers: Vec<Recomputation>,
     pub(super) tries: u32,
     pub(super) not_before: u64,
     /// Since when nobody is there who could check it, although the job lacks nothing else.
@@ -48,11 +48,11 @@ pub(super) struct Spot {
     pub(super) condemned: bool,
 }
 
-impl Spot {
+impl SpotCheck {
     pub(super) fn of(digest: Digest, author: Name, mut workers: BTreeSet<Name>) -> Self {
         workers.insert(Name::clone(&author));
         Self {
-            answers: vec![Answer {
+            answers: vec![Recomputation {
                 digest,
                 author,
                 workers,
@@ -71,7 +71,8 @@ impl Spot {
     pub(super) fn knows(&self, signature: &str) -> bool {
         let name = worker_name(signature);
         let is_same = |other: &Name| worker_name(other) == name;
-        let has_hand = |answer: &Answer| !self.helpers_may && answer.workers.iter().any(is_same);
+        let has_hand =
+            |answer: &Recomputation| !self.helpers_may && answer.workers.iter().any(is_same);
         self.answers
             .iter()
             .any(|answer| is_same(&answer.author) || has_hand(answer))

@@ -1,15 +1,15 @@
-//! Counts the machine's lists and totals again from its jobs, workers and leases.
+//! Counts the scheduler's lists and totals again from its jobs, workers and leases.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::job::{Job, Output};
-use super::machine::{Leased, Machine, Timer};
 use super::messages::Now;
 use super::pools::List;
 use super::queue::User;
+use super::state::{Leased, Scheduler, Timer};
 use crate::ids::{LeaseId, WorkerId};
 
-impl Machine {
+impl Scheduler {
     /// Returns the state of the workers, the leases and the open jobs, for the message of a failed test.
     #[cfg(test)]
     pub(crate) fn state_text(&self) -> String {

@@ -1,13 +1,13 @@
 //! The connected workers and what they do: for people.
 
-use super::ledger::Ledger;
-use super::machine::{Leased, Machine, Worker};
 use super::messages::Now;
+use super::state::{Leased, Scheduler, Worker};
+use super::worker_totals::WorkerTotals;
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
 
 /// A connected worker.
 #[derive(Clone, Debug)]
-pub(crate) struct Member {
+pub(crate) struct WorkerStatus {
     pub(crate) name: String,
     pub(crate) version: String,
     pub(crate) profiles: Vec<String>,
@@ -17,14 +17,14 @@ pub(crate) struct Member {
     pub(crate) draining: bool,
     /// Why it gets no tiles although it asks for some.
     pub(crate) trouble: Option<&'static str>,
-    pub(crate) tiles: Vec<Held>,
-    pub(crate) helps: Option<Held>,
-    pub(crate) done: Ledger,
+    pub(crate) tiles: Vec<LeasedTile>,
+    pub(crate) helps: Option<LeasedTile>,
+    pub(crate) done: WorkerTotals,
 }
 
 /// A tile in a worker's hands.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Held {
+pub(crate) struct LeasedTile {
     pub(crate) job: JobId,
     pub(crate) tile: TileIndex,
     pub(crate) has_begun: bool,
@@ -34,7 +34,7 @@ pub(crate) struct Held {
     pub(crate) samples: u64,
 }
 
-impl Machine {
+impl Scheduler {
     /// Why a worker gets no tiles although it asks for some.
     pub(super) fn trouble(&self, worker: &Worker) -> Option<&'static str> {
         if self.quarantined.contains(&worker.signature) {
@@ -62,9 +62,9 @@ impl Machine {
     }
 
     /// The connected workers, by name.
-    pub(crate) fn roster(&self, now: Now) -> Vec<Member> {
+    pub(crate) fn roster(&self, now: Now) -> Vec<WorkerStatus> {
         let held = |id: &LeaseId| self.leases.get(id).map(|lease| held(lease, now));
-        let member = |worker: &Worker| Member {
+        let member = |worker: &Worker| WorkerStatus {
             name: worker.name.clone(),
             version: worker.version.clone(),
             profiles: worker.profiles.iter().map(|p| p.to_string()).collect(),
@@ -76,7 +76,7 @@ impl Machine {
             helps: worker.helps.and_then(|lease| held(&lease.id)),
             done: worker.done,
         };
-        let mut all: Vec<Member> = self.workers.values().map(member).collect();
+        let mut all: Vec<WorkerStatus> = self.workers.values().map(member).collect();
         all.sort_by(|a, b| a.name.cmp(&b.name));
         all
     }
@@ -87,8 +87,8 @@ impl Machine {
     }
 }
 
-fn held(lease: &Leased, now: Now) -> Held {
-    Held {
+fn held(lease: &Leased, now: Now) -> LeasedTile {
+    LeasedTile {
         job: lease.job,
         tile: lease.tile,
         has_begun: lease.begun.is_some(),

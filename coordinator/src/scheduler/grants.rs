@@ -7,11 +7,11 @@
 
 use std::sync::Arc;
 
-use super::event::{Command, Effect, Note};
-use super::machine::Machine;
-use super::messages::{Grant, Now, Order};
+use super::event::{Effect, Note, StoreCommand};
+use super::messages::{Grant, Now, WorkerCommand};
 use super::pools::{List, Profile};
-use super::spot::Name;
+use super::spot_check::Name;
+use super::state::Scheduler;
 use crate::ids::{JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::store::JobPhase;
 
@@ -22,7 +22,7 @@ const LEAST_STRAGGLE: u64 = 5000;
 /// Second leases of a profile in one tick.
 const MOST_DOUBLED: usize = 16;
 
-impl Machine {
+impl Scheduler {
     /// Puts a job into the list in which it belongs now.
     pub(super) fn list_job(&mut self, id: JobId) {
         let Some(job) = self.jobs.get(&id) else {
@@ -150,7 +150,7 @@ impl Machine {
         };
         if job.record.state.phase() == JobPhase::Queued && !job.pending {
             job.pending = true;
-            self.effects.push(Effect::Run(Command::Start(id)));
+            self.effects.push(Effect::Run(StoreCommand::Start(id)));
         }
     }
 
@@ -218,7 +218,7 @@ impl Machine {
         }
         self.call_back(worker);
         self.effects
-            .push(Effect::Tell(worker, Order::Grant(Box::new(grant))));
+            .push(Effect::Tell(worker, WorkerCommand::Grant(Box::new(grant))));
         self.lease(lease, (id, tile), worker, profile, now);
         self.tell_watchers(id);
     }

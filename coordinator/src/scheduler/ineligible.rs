@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::machine::{Machine, Worker};
+use super::state::{Scheduler, Worker};
 use crate::ids::JobId;
 
 /// Names that are given of the workers with one reason.
@@ -17,7 +17,7 @@ pub(crate) struct Unable {
     pub(crate) names: Vec<String>,
 }
 
-impl Machine {
+impl Scheduler {
     /// The connected workers that cannot work on a job, by reason; none for a job that has ended.
     pub(crate) fn unable(&self, id: JobId) -> Vec<Unable> {
         let Some(job) = self.jobs.get(&id) else {
