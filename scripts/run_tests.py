@@ -20,7 +20,7 @@ import time
 # Programs that measure how long an answer takes.
 ALONE = {"hostile"}
 # The programs that take longest, so that none of them begins last.
-FIRST = ["cluster", "exact", "access", "direct", "replicas", "farm", "traces", "wire"]
+FIRST = ["chaos", "cluster", "direct", "objects", "bake", "portals", "sights", "replicas"]
 # The time in seconds after which a program hangs.
 LIMIT = 1200
 

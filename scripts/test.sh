@@ -94,7 +94,7 @@ phase 'deployment: compose, chart, units, alerts, certificates' bounded 300 scri
 phase 'unit and property tests' bounded 900 cargo test --locked --workspace --lib --bins
 phase 'documentation' bounded 600 env RUSTDOCFLAGS='-D warnings' cargo doc --locked --workspace --no-deps --quiet
 phase 'documentation tests' bounded 600 cargo test --locked --workspace --doc
-phase 'integration tests' bounded 2400 cargo test --locked --workspace --test '*' -- --skip containers_
+phase 'integration tests' bounded 2400 scripts/run_tests.py --skip containers_
 phase 'container test' containers
 
 printf '\n== passed\n'
