@@ -1,5 +1,5 @@
-//! Between the state machine and the world: gives it events and the time under a short lock, sends orders and
-//! wakes watchers. What blocks is left to the caller as follow-ups.
+//! The dispatch of events: passes them and the time to the scheduler under a short lock, sends commands to
+//! workers, and wakes watchers. Effects that block go to the caller as follow-ups.
 
 pub(crate) mod outbox;
 pub(crate) mod run;
@@ -72,7 +72,7 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Follow
     (departure, follow_ups)
 }
 
-/// Tells the scheduler of an event, without blocking. The caller does the follow-ups.
+/// Passes an event to the scheduler, without blocking. The caller runs the follow-ups.
 #[must_use]
 pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<FollowUp> {
     let mut follow_ups = Vec::new();

@@ -17,7 +17,7 @@ use crate::state::Coordinator;
 use crate::store::{JobPhase, JobState, StoreError, TileCheck};
 use crate::telemetry::events::{Kind, LogEvent};
 
-/// Tells the scheduler of an event and does what follows from it. Blocks on the disk.
+/// Passes an event to the scheduler and runs its follow-ups. Blocks on the disk.
 pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
     let follow_ups = tell(c, event);
     run_follow_ups(c, follow_ups);

@@ -1,4 +1,4 @@
-//! Outputs of tiles: their checks and commits, and those that workers write to the blob store.
+//! Outputs of tiles: their checks, their commits, and the direct way of workers to the blob store.
 
 pub(crate) mod commit;
 pub(crate) mod presigned;

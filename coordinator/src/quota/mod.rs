@@ -6,14 +6,14 @@
 mod budget;
 mod intake;
 mod pace;
-mod quota;
+mod quotas;
 mod turns;
 mod usage;
 
 pub(crate) use self::budget::{Budget, Reserved, Sender};
 pub(crate) use self::intake::{Intake, Room};
 pub(crate) use self::pace::{Permit, RateLimiter};
-pub use self::quota::{Quota, QuotaError, Quotas, bytes};
+pub use self::quotas::{Quota, QuotaError, Quotas, bytes};
 pub(crate) use self::turns::{Turn, Turns};
 pub(crate) use self::usage::{Usage, usage};
 

@@ -132,7 +132,7 @@ impl Scheduler {
         self.tell_watchers(id);
     }
 
-    /// Judges a tile after the store has recorded a death. A death that was cancelled meanwhile is taken
+    /// Judges a tile after the store has recorded a death. A death that was cancelled before is taken
     /// out of the store again.
     pub(super) fn death_recorded(&mut self, of: DeathOf, on: u32, reason: &str) {
         if !self.recording.remove(&of).unwrap_or(false) {

@@ -214,7 +214,7 @@ impl World {
         if self.disk_full {
             return self.tell(Event::Refused(command));
         }
-        // Nobody opens tiles again while the scheduler has not heard of a commit.
+        // A lock keeps tiles from being opened before the scheduler receives a commit.
         if matches!(command, StoreCommand::Quarantine { .. }) && self.commits() {
             self.after(1, Happening::Run(self.life, Box::new(command)));
             return Ok(());
@@ -234,7 +234,7 @@ impl World {
         }
     }
 
-    /// Whether an output is committed of which the scheduler has not heard.
+    /// Returns true if the scheduler has not yet received a commit of the store.
     fn commits(&self) -> bool {
         self.queue.values().any(|happening| match happening {
             Happening::Durable(life, _, _, events, ..) => {

@@ -103,7 +103,7 @@ fn schedules_that_failed() {
     // After a failed write of a watermark, a power failure left an earlier content of its slot.
     schedules_on_disk(435_855, 1);
     schedules_on_disk(469_700, 1);
-    // A job that was paused while all workers were suspects did not run again, so that nobody judged.
+    // A job that was paused while all workers were suspects did not run again, and no worker judged.
     schedules_on_disk(409_916, 1);
     // The store refused to set aside a tile that needed a tile which was set aside.
     schedules_on_disk(303_920, 1);

@@ -200,7 +200,7 @@ impl World {
         }
     }
 
-    /// Asks for as many tiles as a worker may hold beside those that it holds.
+    /// Asks for tiles up to the number that a worker may hold.
     fn want_all(&mut self, w: usize) {
         let wants = IN_HAND.saturating_sub(self.workers[w].held.len()) as u32;
         if !self.workers[w].draining && wants > 0 {

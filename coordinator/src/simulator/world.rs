@@ -212,7 +212,7 @@ impl World {
         )
     }
 
-    /// Tells the scheduler of an event, checks it, and carries out what it wants.
+    /// Passes an event to the scheduler, checks the scheduler, and carries out its effects.
     pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
         let now = Now {
             ms: self.now,

@@ -260,7 +260,7 @@ fn lost_watermark_is_noticed() {
     let without = disk_of(&files.journal, &[]);
     let salvage = read(&without, &path(), Some(files.view.clone())).unwrap();
     assert!(salvage.damage.is_none() && !salvage.is_marked);
-    // Without the view, too, nothing tells how long the journal was.
+    // Without the view, too, the length of the journal is unknown.
     assert!(
         read(&without, &path(), None)
             .unwrap()

@@ -1,4 +1,4 @@
-//! What the coordinator reports: metrics, events, spans and its readiness.
+//! Reports of the coordinator: metrics, events, spans and its readiness.
 
 pub(crate) mod events;
 pub(crate) mod metrics;

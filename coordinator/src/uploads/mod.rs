@@ -1,4 +1,4 @@
-//! What clients and workers send: chunks, scenes, receivers, and outputs on their way to the disk.
+//! Uploads of clients and workers: chunks, scenes, receivers, and outputs on their way to the disk.
 
 pub(crate) mod chunks;
 pub(crate) mod complete;

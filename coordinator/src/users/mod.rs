@@ -1,3 +1,3 @@
-//! Users: what each of them may store.
+//! Users and their quotas.
 
 pub(crate) mod quota_check;

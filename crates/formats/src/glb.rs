@@ -14,13 +14,13 @@ pub const JSON: [u8; 4] = *b"JSON";
 pub const BINARY: [u8; 4] = *b"BIN\0";
 /// The length of the header in bytes.
 const HEADER: usize = 12;
-/// The length of what stands before the data of a chunk, in bytes.
+/// The length of the header of a chunk, in bytes.
 const CHUNK_HEADER: usize = 8;
 
 /// A chunk: its type and its data.
 pub type Chunk<'a> = ([u8; 4], &'a [u8]);
 
-/// Bytes that are no GLB, or data that fit into none.
+/// The fault of bytes that are not a GLB, or of data that do not fit into one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum GlbFault {
     /// The file ends within its header.
@@ -29,7 +29,7 @@ pub enum GlbFault {
     /// The file has another version.
     #[error("its version is {0}, and must be 2")]
     Version(u32),
-    /// The file is shorter than its header says.
+    /// The file is shorter than its header announces.
     #[error("it announces {announced} bytes, but the file has {present}")]
     CutOff {
         /// The length that the header announces.
@@ -149,7 +149,7 @@ pub fn length(chunks: impl IntoIterator<Item = u64>) -> Result<u32, GlbFault> {
 }
 
 /// Writes a file up to the data of its binary chunk, of which the caller then writes `binary` bytes, a
-/// multiple of four. `length` is that of [`length`] for both chunks.
+/// multiple of four. `length` is the result of [`length`] for both chunks.
 ///
 /// # Errors
 /// The errors of `out`.
@@ -191,7 +191,7 @@ mod tests {
         ];
         assert_eq!(chunks(&file).unwrap(), expected);
         assert_eq!(length([2, 5, 0]), Ok(file.len() as u32));
-        // Bytes behind the announced length are no part of the file.
+        // Bytes behind the announced length are not part of the file.
         assert_eq!(chunks(&[&file[..], b"rest"].concat()).unwrap(), expected);
     }
 

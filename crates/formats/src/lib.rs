@@ -1,7 +1,7 @@
 //! The bytes of files that others define: GLB and its chunks, PLY's header and numbers, and changes of glTF
 //! that keep the rest of a document as it is.
 //!
-//! This crate knows no scenes. Its errors name the fault; callers add the file and the remedy.
+//! This crate does not depend on scenes. Its errors name the fault; callers add the file and the remedy.
 //!
 //! ```
 //! use sightline_formats::glb;
