@@ -2,8 +2,8 @@
 //!
 //! Separating axes (Akenine-Möller, "Fast 3D Triangle–Box Overlap Testing", 2001): the box's three normals,
 //! the triangle's normal, and the nine cross products of their edges. Every comparison along an axis is
-//! written as an orientation of `f32` points, so [`crate::exact`] decides it: the bounds of its filters are
-//! proved there, and there is no epsilon.
+//! written as an orientation of `f32` points, so [`sightline_geometry::predicates`] decides it: the bounds
+//! of its filters are proved there, and there is no epsilon.
 
 use std::cmp::Ordering;
 

@@ -26,7 +26,7 @@ impl Triangle {
     /// Whether the triangle has no area: two vertices equal, or all three on one line, decided exactly.
     ///
     /// Differences of `f32` coordinates are exact in `f64` only when their exponents are close, so
-    /// [`crate::exact`] decides with expansion arithmetic when its filter cannot.
+    /// [`sightline_geometry::predicates`] decides with expansion arithmetic when its filter cannot.
     pub fn is_degenerate(&self) -> bool {
         sightline_geometry::predicates::collinear(self.v[0], self.v[1], self.v[2])
     }
