@@ -10,7 +10,7 @@ use sightline_model::receivers::Receivers;
 use sightline_proto::v1;
 use sightline_scene::Scene;
 use sightline_traces::Traces;
-use sightline_worker::{Backends, Choice, Loaded, SceneCache};
+use sightline_worker::{Backends, SceneCache, TracedScene, TracerSelection};
 
 use crate::ambient_job::{self, Whom};
 use crate::baking::{self, Workers};
@@ -29,9 +29,9 @@ pub fn compute(
     whom: &Whom,
     (workers, data_dir): (usize, Option<&Path>),
 ) -> Result<(v1::Job, Openness), CliError> {
-    let loaded = Arc::new(Loaded::new(Arc::clone(scene))?);
+    let loaded = Arc::new(TracedScene::new(Arc::clone(scene))?);
     // No backend takes part. Embree is there at once, or not at all.
-    let backends = Arc::new(Backends::probe(Choice::Cpu, Default::default()));
+    let backends = Arc::new(Backends::probe(TracerSelection::Cpu, Default::default()));
     let (coordinator, data_dir) = baking::open_at(data_dir)?;
     let runtime = serve::runtime()?;
     let kept = Arc::clone(&coordinator);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use sightline_model::BackendChoice;
 use sightline_sampling::{Backend, CubeSpec};
 use sightline_scene::Scene;
-use sightline_worker::{Backends, Choice};
+use sightline_worker::{Backends, TracerSelection};
 
 use crate::error::CliError;
 use crate::progress::say;
@@ -24,12 +24,12 @@ pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
 }
 
 /// A backend choice as the type of the worker crate.
-pub fn choice(backend: BackendChoice) -> Choice {
+pub fn choice(backend: BackendChoice) -> TracerSelection {
     match backend {
         // A job without a backend is worked on by whoever has some.
-        BackendChoice::Auto | BackendChoice::None => Choice::Auto,
-        BackendChoice::Gpu => Choice::Gpu,
-        BackendChoice::Cpu => Choice::Cpu,
+        BackendChoice::Auto | BackendChoice::None => TracerSelection::Auto,
+        BackendChoice::Gpu => TracerSelection::Gpu,
+        BackendChoice::Cpu => TracerSelection::Cpu,
     }
 }
 
@@ -59,12 +59,12 @@ pub fn open_backend(
 ) -> Result<(String, Arc<dyn Backend>), CliError> {
     let probe = |of| sightline_worker::Backends::probe(of, Default::default());
     let mut backends = probe(if wanted == BackendChoice::Auto {
-        Choice::Cpu
+        TracerSelection::Cpu
     } else {
         choice(wanted)
     });
     if wanted == BackendChoice::Auto && backends.profiles().is_empty() {
-        backends = probe(Choice::Auto);
+        backends = probe(TracerSelection::Auto);
     }
     say_missing(&backends)?;
     let profile = backends.profiles().into_iter().next().unwrap_or_default();

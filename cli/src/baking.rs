@@ -20,7 +20,7 @@ use sightline_sampling::CubeSpec;
 use sightline_scene::kinds::Kind;
 use sightline_scene::{Object, Scene};
 use sightline_traces::{Begun, Traces};
-use sightline_worker::{Backends, Choice, Loaded, SceneCache, Stop, WorkerError};
+use sightline_worker::{Backends, SceneCache, Stop, TracedScene, TracerSelection, WorkerError};
 use tokio::sync::watch;
 use tokio::task::{AbortHandle, JoinSet};
 
@@ -65,7 +65,7 @@ pub fn bake(
     let start = Instant::now();
     serve::use_threads(threads(None))?;
     let choice = match backends::choice(args.job.backend) {
-        Choice::Auto => Choice::Fast,
+        TracerSelection::Auto => TracerSelection::Fast,
         choice => choice,
     };
     // Starting drivers may take longer than reading most scenes.
@@ -82,7 +82,7 @@ pub fn bake(
     opening::scene_in_words(&scene)
         .iter()
         .for_each(|line| say(line));
-    let loaded = Arc::new(Loaded::new(Arc::clone(&scene))?);
+    let loaded = Arc::new(TracedScene::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
     let has_doors = (0..scene.len()).any(|id| scene.kinds().kind(id) == Kind::Door);
     if spec.method == Method::Portals || spec.has_portals() && has_doors && spec.time_budget_ms == 0
@@ -215,14 +215,14 @@ fn partition_in_words(partition: &Partition, scene: &Scene) -> Vec<String> {
 struct Probing(Option<std::thread::JoinHandle<Arc<Backends>>>);
 
 impl Probing {
-    fn begin(choice: Choice) -> Self {
+    fn begin(choice: TracerSelection) -> Self {
         Self(Some(std::thread::spawn(move || {
             Arc::new(Backends::probe(choice, Default::default()))
         })))
     }
 
     /// After the search, prepares the tracing of sight lines while the scene is stored and the job planned.
-    fn then_warm(mut self, loaded: &Arc<Loaded>, spec: &JobSpec) -> Self {
+    fn then_warm(mut self, loaded: &Arc<TracedScene>, spec: &JobSpec) -> Self {
         if spec.sampling.sampler != Sampler::Cubes
             && spec.backend != BackendChoice::None
             && let Some(probe) = self.0.take()
@@ -292,7 +292,7 @@ pub(crate) async fn on_loopback(
 async fn run(
     (args, source, traces): (&BakeArgs, &Source, &Traces),
     coordinator: Arc<Coordinator>,
-    loaded: &Arc<Loaded>,
+    loaded: &Arc<TracedScene>,
     spec: &JobSpec,
     probing: Probing,
     output: &Output,
@@ -328,7 +328,7 @@ async fn run(
             .map_err(CliError::internal)??;
         // An earlier run may have begun the job on a software rasteriser, before Embree was installed.
         if probed.skipped_software() && job.profile.starts_with("gpu/") {
-            let again = Probing::begin(Choice::Auto);
+            let again = Probing::begin(TracerSelection::Auto);
             probed = tokio::task::spawn_blocking(move || again.end())
                 .await
                 .map_err(CliError::internal)??;

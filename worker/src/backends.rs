@@ -9,7 +9,7 @@ use sightline_scene::Scene;
 
 /// Which backends a worker may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Choice {
+pub enum TracerSelection {
     /// All backends of this machine.
     Auto,
     /// As `Auto`, but where Embree works and no GPU is present, software rasterisers are not started: a
@@ -34,17 +34,18 @@ pub struct Backends {
 
 impl Backends {
     /// Tries the backends of `choice` on this machine.
-    pub fn probe(choice: Choice, adapter: AdapterChoice) -> Self {
+    pub fn probe(choice: TracerSelection, adapter: AdapterChoice) -> Self {
         let not_asked = || Err("not asked for".to_owned());
         let say = |r: Result<String, BackendError>| r.map_err(|e| e.to_string());
-        let cpu = if choice == Choice::Gpu {
+        let cpu = if choice == TracerSelection::Gpu {
             not_asked()
         } else {
             say(CpuBackend::probe())
         };
         // Starting a software driver takes longer than a small bake.
-        let skipped_software = choice == Choice::Fast && cpu.is_ok() && !gpu::device_present();
-        let gpu = if choice == Choice::Cpu || skipped_software {
+        let skipped_software =
+            choice == TracerSelection::Fast && cpu.is_ok() && !gpu::device_present();
+        let gpu = if choice == TracerSelection::Cpu || skipped_software {
             not_asked()
         } else {
             say(gpu::probe(&adapter))

@@ -7,9 +7,9 @@ use sightline_proto::connecting::Credentials;
 use sightline_traces::Traces;
 
 use crate::backends::Backends;
-use crate::pulse::Pulse;
+use crate::counters::Pulse;
 use crate::receivers::ReceiverCache;
-use crate::scenes::SceneCache;
+use crate::traced_scenes::SceneCache;
 
 /// The configuration of a worker.
 #[derive(Clone)]

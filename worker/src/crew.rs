@@ -20,7 +20,7 @@ use sightline_sampling::crew::{
 use tokio::sync::mpsc;
 use tonic::Streaming;
 
-use crate::held::Held;
+use crate::leased_tile::LeasedTile;
 use crate::status::describe;
 
 /// Messages that wait for the network.
@@ -63,9 +63,9 @@ async fn enter(
 
 /// Where the leader's messages go: to its present stream, if it has one.
 #[derive(Clone, Default)]
-struct Way(Arc<Mutex<Option<mpsc::UnboundedSender<FromLeader>>>>);
+struct LeaderLink(Arc<Mutex<Option<mpsc::UnboundedSender<FromLeader>>>>);
 
-impl Way {
+impl LeaderLink {
     /// From now on messages go to another stream, or nowhere.
     fn turn(&self, to: Option<mpsc::UnboundedSender<FromLeader>>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = to;
@@ -79,8 +79,8 @@ impl Way {
 }
 
 /// A leader with a stream to its helpers; without one, if there cannot be one, a leader without helpers.
-pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<Held>) -> Arc<Leader> {
-    let way = Way::default();
+pub async fn lead(client: Client, lease: v1::Lease, held: &Arc<LeasedTile>) -> Arc<Leader> {
+    let way = LeaderLink::default();
     let (opened, outcomes) = match open(&client, lease, 0).await {
         Ok((out, inbound, outcomes, _)) => (Ok((out, inbound)), outcomes),
         Err(e) => (Err(e), Vec::new()),
@@ -171,9 +171,9 @@ async fn open(
 async fn keep_leading(
     client: Client,
     lease: v1::Lease,
-    held: Arc<Held>,
+    held: Arc<LeasedTile>,
     leader: Weak<Leader>,
-    way: Way,
+    way: LeaderLink,
     mut inbound: Option<Streaming<v1::CrewMessage>>,
 ) {
     // Without a stream so far, the outcomes of an earlier leader are not known either.
@@ -300,7 +300,11 @@ fn of_helper(said: FromHelper) -> Vec<Message> {
 }
 
 /// Tells the leader what comes, until its tile is done or the stream breaks.
-async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1::CrewMessage>) {
+async fn hear_leader(
+    leader: Weak<Leader>,
+    way: &LeaderLink,
+    mut inbound: Streaming<v1::CrewMessage>,
+) {
     // The helpers, with the items of the finds that arrive.
     let mut members: BTreeMap<Member, (Vec<u32>, Blobs)> = BTreeMap::new();
     while let Some(Ok(message)) = inbound.next().await {
@@ -370,7 +374,7 @@ async fn hear_leader(leader: Weak<Leader>, way: &Way, mut inbound: Streaming<v1:
 pub async fn help(
     client: Client,
     lease: v1::Lease,
-    held: &Arc<Held>,
+    held: &Arc<LeasedTile>,
 ) -> Result<Arc<Helper>, String> {
     let opened = tokio::time::timeout(PATIENCE, enter(client, lease, (false, 0))).await;
     let (out, inbound) = opened.map_err(|_| "the coordinator does not answer".to_owned())??;

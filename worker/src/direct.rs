@@ -14,7 +14,7 @@ use http_body::{Body, Frame, SizeHint};
 use sightline_http::{Client, During, Fault, Request, StatusCode, Uri, header};
 use sightline_proto::v1;
 
-use crate::held::Held;
+use crate::leased_tile::LeasedTile;
 
 /// How long a connection may take: who cannot reach the store has another way.
 const CONNECT: Duration = Duration::from_secs(3);
@@ -284,7 +284,7 @@ pub async fn upload(
     client: &Client<Sending>,
     address: &v1::Address,
     bytes: Bytes,
-    held: &Held,
+    held: &LeasedTile,
 ) -> Result<(), Miss> {
     let body = Sending {
         bytes,
@@ -308,7 +308,7 @@ pub async fn upload(
 }
 
 /// Resolves when an upload makes no progress, or is not needed any more.
-async fn stalled(sent: &AtomicU64, held: &Held) -> Miss {
+async fn stalled(sent: &AtomicU64, held: &LeasedTile) -> Miss {
     use sightline_bake::Watcher as _;
     let (mut last, mut since) = (0, Instant::now());
     loop {

@@ -33,28 +33,28 @@
 
 pub mod backends;
 mod config;
-mod connecting;
+mod connect;
+mod counters;
 mod crew;
 mod direct;
-mod fetching;
-mod held;
+mod fetch;
+mod leased_tile;
 mod packs;
-mod pulse;
 mod receivers;
-mod scenes;
 mod session;
 mod spans;
 mod status;
-mod tiles;
-mod uploading;
+mod tile_runner;
+mod traced_scenes;
+mod upload;
 
 use tokio::sync::watch;
 
-pub use backends::{Backends, Choice};
+pub use backends::{Backends, TracerSelection};
 pub use config::{Config, Stop, WorkerError};
-pub use pulse::{Moved, Pulse};
+pub use counters::{Moved, Pulse};
 pub use receivers::ReceiverCache;
-pub use scenes::{Loaded, SceneCache};
+pub use traced_scenes::{SceneCache, TracedScene};
 
 /// Runs a worker until `stop` tells it to stop.
 ///

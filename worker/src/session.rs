@@ -13,12 +13,12 @@ use sightline_proto::v1::workers_client::WorkersClient;
 use tokio::sync::{Semaphore, mpsc, watch};
 
 use crate::config::{Config, Stop, WorkerError};
-use crate::connecting;
+use crate::connect;
+use crate::counters::Ended;
 use crate::direct::Direct;
-use crate::held::Held;
-use crate::pulse::Ended;
+use crate::leased_tile::LeasedTile;
 use crate::status::describe;
-use crate::tiles::{Failure, Shop};
+use crate::tile_runner::{Failure, TileRunner};
 
 /// Most tiles held at once: one that runs and one whose data is fetched.
 const IN_HAND: usize = 2;
@@ -56,14 +56,14 @@ enum End {
 
 /// A worker; it lives longer than a connection.
 pub struct Worker {
-    shop: Arc<Shop>,
+    shop: Arc<TileRunner>,
     /// Random and not 0; distinguishes this worker from another worker of the same name.
     instance: u64,
     /// The identity from the first welcome; empty before.
     identity: Vec<u8>,
-    held: BTreeMap<LeaseKey, Arc<Held>>,
+    held: BTreeMap<LeaseKey, Arc<LeasedTile>>,
     /// The leaders that this worker helps, by their leases: one, and those that it is just leaving.
-    helping: BTreeMap<LeaseKey, Arc<Held>>,
+    helping: BTreeMap<LeaseKey, Arc<LeasedTile>>,
     finished: (
         mpsc::UnboundedSender<Finished>,
         mpsc::UnboundedReceiver<Finished>,
@@ -76,7 +76,7 @@ enum Finished {
     Tile(v1::Lease, Result<(), Failure>),
     Timed(v1::Timed),
     /// It helps the holder of this lease no more.
-    Helped(v1::Lease, Arc<Held>),
+    Helped(v1::Lease, Arc<LeasedTile>),
 }
 
 impl Worker {
@@ -88,8 +88,8 @@ impl Worker {
             .map_err(|e| WorkerError::Address(config.coordinator.clone(), e))?
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true);
-        let shop = Shop {
-            client: WorkersClient::new(connecting::channel(&endpoint, &config.credentials)),
+        let shop = TileRunner {
+            client: WorkersClient::new(connect::channel(&endpoint, &config.credentials)),
             direct: Direct::new(config.direct),
             config,
             packs: Default::default(),
@@ -342,7 +342,7 @@ impl Worker {
                         infrastructure: true,
                     }));
                 }
-                let held = Arc::new(Held::new(lease));
+                let held = Arc::new(LeasedTile::new(lease));
                 self.held.insert(key(&lease), Arc::clone(&held));
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
                 tokio::spawn(async move {
@@ -373,7 +373,7 @@ impl Worker {
                 if draining {
                     return Some(ToCoordinator::Helped(v1::Helped { lease: Some(lease) }));
                 }
-                let held = Arc::new(Held::new(lease));
+                let held = Arc::new(LeasedTile::new(lease));
                 self.helping.insert(key(&lease), Arc::clone(&held));
                 let (shop, report) = (Arc::clone(&self.shop), self.finished.0.clone());
                 tokio::spawn(async move {

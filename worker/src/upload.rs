@@ -9,11 +9,11 @@ use sightline_proto::chunks::{count, piece};
 use sightline_proto::v1;
 use tonic::Code;
 
+use crate::counters::{Direction, Way};
 use crate::direct::{self, Miss};
-use crate::held::Held;
-use crate::pulse::{Direction, Way};
+use crate::leased_tile::LeasedTile;
 use crate::status::describe;
-use crate::tiles::{Failure, Shop};
+use crate::tile_runner::{Failure, TileRunner};
 
 /// The waits after the first failure of an upload and after late ones; they double in between. An output is
 /// offered again for as long as its lease lives, whatever the disk or the network does.
@@ -26,13 +26,13 @@ const LEAST_STAGED: usize = 256 << 10;
 /// How often an output is written to the store before it is sent.
 const TRIES: u32 = 2;
 
-impl Shop {
+impl TileRunner {
     /// Commits an output. `attempts` counts the calls that it takes.
     pub async fn upload(
         &self,
         mut header: v1::ResultHeader,
         bytes: Bytes,
-        held: &Held,
+        held: &LeasedTile,
         attempts: &mut u32,
     ) -> Result<(), Failure> {
         let mut way = Way::Coordinator;
@@ -110,7 +110,7 @@ impl Shop {
         &self,
         header: &v1::ResultHeader,
         bytes: &Bytes,
-        held: &Held,
+        held: &LeasedTile,
     ) -> Result<Option<Vec<u8>>, Miss> {
         let Some(client) = self.direct.client().filter(|_| bytes.len() >= LEAST_STAGED) else {
             return Ok(None);

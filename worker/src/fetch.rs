@@ -11,11 +11,11 @@ use sightline_proto::chunks::Assembler;
 use sightline_proto::v1;
 use tonic::{Code, Status, Streaming};
 
+use crate::counters::{Direction, Way};
 use crate::direct::{self, Download, Miss, Sending};
-use crate::pulse::{Direction, Way};
-use crate::scenes::Loaded;
 use crate::status::describe;
-use crate::tiles::Shop;
+use crate::tile_runner::TileRunner;
+use crate::traced_scenes::TracedScene;
 
 /// Largest scene or pack accepted from a coordinator, in bytes.
 const MAX_FETCH: u64 = 64 << 30;
@@ -62,9 +62,9 @@ impl Unfetched {
     }
 }
 
-impl Shop {
+impl TileRunner {
     /// A scene, from the cache, the store or the coordinator.
-    pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<Loaded>, String> {
+    pub async fn scene(&self, digest: [u8; 32]) -> Result<Arc<TracedScene>, String> {
         let fetch = async {
             self.fetch(Kind::Scene, digest)
                 .await

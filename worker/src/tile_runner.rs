@@ -16,10 +16,10 @@ use sightline_viewcells::Division;
 use crate::config::Config;
 use crate::crew;
 use crate::direct::Direct;
-use crate::held::Held;
+use crate::leased_tile::LeasedTile;
 use crate::packs::PackCache;
-use crate::scenes::Loaded;
 use crate::spans::Steps;
+use crate::traced_scenes::TracedScene;
 
 /// Why a tile was not committed.
 pub enum Failure {
@@ -52,7 +52,7 @@ struct Work<'a> {
 }
 
 /// State that the tiles of one worker share.
-pub struct Shop {
+pub struct TileRunner {
     /// The worker's configuration.
     pub config: Config,
     /// Cache of packs.
@@ -65,9 +65,13 @@ pub struct Shop {
     pub client: WorkersClient<Connection>,
 }
 
-impl Shop {
+impl TileRunner {
     /// Runs the tile of `grant` and commits it.
-    pub async fn work(self: &Arc<Self>, grant: v1::Grant, held: Arc<Held>) -> Result<(), Failure> {
+    pub async fn work(
+        self: &Arc<Self>,
+        grant: v1::Grant,
+        held: Arc<LeasedTile>,
+    ) -> Result<(), Failure> {
         let steps = Steps::of(&self.config, held.lease, &grant.trace);
         let (begun, profile) = (Begun::now(), grant.profile.clone());
         let result = self.compute_and_commit(grant, &held, &steps).await;
@@ -83,7 +87,7 @@ impl Shop {
     async fn compute_and_commit(
         self: &Arc<Self>,
         grant: v1::Grant,
-        held: &Arc<Held>,
+        held: &Arc<LeasedTile>,
         steps: &Steps,
     ) -> Result<(), Failure> {
         let begun = Begun::now();
@@ -177,7 +181,11 @@ impl Shop {
     ///
     /// # Errors
     /// The reason, when this worker is of no help.
-    pub async fn help(self: &Arc<Self>, help: v1::Help, held: Arc<Held>) -> Result<(), String> {
+    pub async fn help(
+        self: &Arc<Self>,
+        help: v1::Help,
+        held: Arc<LeasedTile>,
+    ) -> Result<(), String> {
         let steps = Steps::of(&self.config, held.lease, &help.trace);
         let (begun, profile) = (Begun::now(), help.profile.clone());
         let result = self.help_leader(help, &held, &steps).await;
@@ -189,7 +197,7 @@ impl Shop {
     async fn help_leader(
         self: &Arc<Self>,
         help: v1::Help,
-        held: &Arc<Held>,
+        held: &Arc<LeasedTile>,
         steps: &Steps,
     ) -> Result<(), String> {
         let begun = Begun::now();
@@ -231,9 +239,9 @@ impl Shop {
     fn run(
         &self,
         work: &Work<'_>,
-        loaded: &Loaded,
+        loaded: &TracedScene,
         packs: Vec<Fetched>,
-        held: &Held,
+        held: &LeasedTile,
     ) -> Result<(Vec<u8>, u64), Failure> {
         let Work {
             spec,

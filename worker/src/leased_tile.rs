@@ -6,7 +6,7 @@ use sightline_bake::Watcher;
 use sightline_proto::v1;
 
 /// A held lease, shared by the session and the tile that runs under it.
-pub struct Held {
+pub struct LeasedTile {
     /// The lease.
     pub lease: v1::Lease,
     cells: AtomicU64,
@@ -15,7 +15,7 @@ pub struct Held {
     begun: AtomicBool,
 }
 
-impl Held {
+impl LeasedTile {
     /// The state of a new lease.
     pub fn new(lease: v1::Lease) -> Self {
         Self {
@@ -52,7 +52,7 @@ impl Held {
     }
 }
 
-impl Watcher for Held {
+impl Watcher for LeasedTile {
     fn rendered(&self, cubes: u64) {
         self.samples.fetch_add(cubes, Ordering::Relaxed);
     }

@@ -14,13 +14,13 @@ use crate::backends::Backends;
 const KEPT: usize = 2;
 
 /// A scene with the backends opened for it.
-pub struct Loaded {
+pub struct TracedScene {
     /// The scene, prepared for tiles.
     pub scene: BakeScene,
     backends: Mutex<BTreeMap<String, Arc<dyn Backend>>>,
 }
 
-impl Loaded {
+impl TracedScene {
     /// Prepares a scene for tiles.
     ///
     /// # Errors
@@ -89,7 +89,7 @@ impl Loaded {
     }
 }
 
-impl Loaded {
+impl TracedScene {
     /// Drops the backends with `profile`, so that the next tile opens them again.
     pub fn forget(&self, profile: &str) {
         let mut open = self.backends.lock().unwrap_or_else(PoisonError::into_inner);
@@ -101,12 +101,12 @@ impl Loaded {
 #[derive(Default)]
 pub struct SceneCache {
     // The most recently used scene is last.
-    scenes: tokio::sync::Mutex<Vec<([u8; 32], Arc<Loaded>)>>,
+    scenes: tokio::sync::Mutex<Vec<([u8; 32], Arc<TracedScene>)>>,
 }
 
 impl SceneCache {
     /// A cache that holds one scene.
-    pub fn holding(digest: [u8; 32], loaded: Arc<Loaded>) -> Self {
+    pub fn holding(digest: [u8; 32], loaded: Arc<TracedScene>) -> Self {
         Self {
             scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]),
         }
@@ -117,7 +117,7 @@ impl SceneCache {
     ///
     /// # Errors
     /// The error of `fetch`, or a message when the bytes are no scene.
-    pub async fn get<F>(&self, digest: [u8; 32], fetch: F) -> Result<Arc<Loaded>, String>
+    pub async fn get<F>(&self, digest: [u8; 32], fetch: F) -> Result<Arc<TracedScene>, String>
     where
         F: Future<Output = Result<Vec<u8>, String>>,
     {
@@ -133,7 +133,7 @@ impl SceneCache {
             let scene =
                 Scene::from_blob("scene that was fetched", &bytes).map_err(|e| e.to_string())?;
             drop(bytes);
-            let loaded = Loaded::new(Arc::new(scene)).map_err(|e| e.to_string())?;
+            let loaded = TracedScene::new(Arc::new(scene)).map_err(|e| e.to_string())?;
             Ok::<_, String>(Arc::new(loaded))
         })
         .await
