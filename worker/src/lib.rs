@@ -8,14 +8,14 @@
 //!
 //! use sightline_proto::connecting::Credentials;
 //! use sightline_sampling::gpu::AdapterChoice;
-//! use sightline_worker::{Backends, Choice, Config, ReceiverCache, SceneCache, Stop};
+//! use sightline_worker::{Backends, Config, ReceiverCache, SceneCache, Stop, TracerSelection};
 //!
 //! # async fn example() -> Result<(), sightline_worker::WorkerError> {
 //! let config = Config {
 //!     coordinator: "http://127.0.0.1:7600".to_owned(),
 //!     credentials: Credentials::default(),
 //!     name: "worker 1".to_owned(),
-//!     backends: Arc::new(Backends::probe(Choice::Auto, AdapterChoice::default())),
+//!     backends: Arc::new(Backends::probe(TracerSelection::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),
 //!     receivers: Arc::new(ReceiverCache::default()),
 //!     helps: true,
