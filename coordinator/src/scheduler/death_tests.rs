@@ -226,33 +226,40 @@ fn deaths_stay_on_record_over_restart_of_coordinator() {
 
 #[test]
 fn death_that_is_recorded_after_its_cancellation_does_not_stay() {
-    let mut b = two_tiles();
-    b.holds_deaths = true;
-    let worker = start(&mut b, "a", 1, 1);
-    b.leave(worker);
-    b.wait(3);
-    b.try_join("a", 1, Vec::new()).unwrap();
-    let Some(StoreCommand::CountDeath {
-        job,
-        tile,
-        worker,
-        reason,
-    }) = b.ran.pop()
-    else {
-        panic!("no death")
-    };
-    let on = b.store.count_death(job, tile, &worker, &reason).unwrap();
-    assert_eq!(failed_on(&b, 0), ["a"]);
-    b.step(Event::FailureRecorded {
-        job,
-        tile,
-        on,
-        reason,
-        dead: Some(worker),
-    });
-    assert!(failed_on(&b, 0).is_empty());
-    assert!(b.scheduler.recording.is_empty());
-    // No verdict holds the tile back.
-    let next = start(&mut b, "b", 2, 1);
-    assert_eq!(b.holders()[0], Some(next));
+    for reopens in [false, true] {
+        let mut b = two_tiles();
+        b.holds_deaths = true;
+        let worker = start(&mut b, "a", 1, 1);
+        b.leave(worker);
+        b.wait(3);
+        b.try_join("a", 1, Vec::new()).unwrap();
+        let Some(StoreCommand::CountDeath {
+            job,
+            tile,
+            worker,
+            reason,
+        }) = b.ran.pop()
+        else {
+            panic!("no death")
+        };
+        if reopens {
+            b.reopen(JOB);
+        }
+        let on = b.store.count_death(job, tile, &worker, &reason).unwrap();
+        assert_eq!(failed_on(&b, 0), ["a"]);
+        b.step(Event::FailureRecorded {
+            job,
+            tile,
+            on,
+            reason,
+            dead: Some(worker),
+        });
+        assert!(failed_on(&b, 0).is_empty());
+        assert!(b.scheduler.recording.is_empty());
+        if !reopens {
+            // No verdict holds the tile back.
+            let next = start(&mut b, "b", 2, 1);
+            assert_eq!(b.holders()[0], Some(next));
+        }
+    }
 }

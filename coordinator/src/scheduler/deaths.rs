@@ -153,6 +153,7 @@ impl Scheduler {
             t.judged = false;
             job.look_at(tile);
         }
+        self.set_orphan_aside(id, tile);
         self.list_job(id);
         self.tell_watchers(id);
     }

@@ -127,6 +127,7 @@ impl Scheduler {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.look_at(tile);
         }
+        self.set_orphan_aside(id, tile);
         self.list_job(id);
         self.tell_watchers(id);
     }

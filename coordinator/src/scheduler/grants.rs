@@ -314,13 +314,15 @@ impl Scheduler {
         };
         if t.not_before.is_some_and(|until| until <= now.ms) {
             t.not_before = None;
-            let is_orphan = t.missing > 0;
+            if t.missing > 0 && self.paused_until.is_some() {
+                // The store refuses commands for now.
+                self.back_off(id, tile, now);
+                return;
+            }
             job.look_at(tile);
             self.list_job(id);
-            if is_orphan {
-                // The store may have refused the command that sets it aside.
-                self.set_orphans_aside(id);
-            }
+            // The store may have refused the command that sets it aside.
+            self.set_orphan_aside(id, tile);
         }
     }
 }

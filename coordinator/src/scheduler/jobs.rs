@@ -46,7 +46,7 @@ impl Scheduler {
 
     /// Sets open tiles aside that need a tile which was set aside. A late output can replace the stand-in of
     /// such a tile, and an invalidation then opens it again without the tile that it needs.
-    pub(super) fn set_orphans_aside(&mut self, id: JobId) {
+    fn set_orphans_aside(&mut self, id: JobId) {
         let Some(job) = self.jobs.get_mut(&id) else {
             return;
         };
@@ -139,6 +139,8 @@ impl Scheduler {
         job.record = record;
         job.pending = false;
         if phase.ended() {
+            // A job that is taken up again keeps them: their commands may still be under way.
+            self.recording.retain(|(job, ..), _| *job != id);
             self.drop_job(id);
             return;
         }
@@ -319,7 +321,20 @@ impl Scheduler {
             return;
         };
         if std::mem::take(&mut t.judged) && t.output == Output::Open {
+            if t.missing > 0 {
+                // Nothing but another command ends its wait, which becomes longer each time.
+                t.faults = t.faults.saturating_add(1);
+            }
             self.back_off(id, tile, now);
+        }
+    }
+
+    /// Sets a tile aside that waits for nothing although a tile that it needs was set aside.
+    pub(super) fn set_orphan_aside(&mut self, id: JobId, tile: TileIndex) {
+        let waits = |t: &super::job::Tile| t.missing == 0 || t.judged || t.not_before.is_some();
+        let tile = self.jobs.get(&id).and_then(|job| job.tiles.get(tile.at()));
+        if tile.is_some_and(|t| t.output == Output::Open && !waits(t)) {
+            self.set_orphans_aside(id);
         }
     }
 

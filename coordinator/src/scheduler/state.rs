@@ -427,7 +427,6 @@ impl Scheduler {
         self.revoke_job(id);
         self.unlist_job(id);
         self.spotted.retain(|(job, _)| *job != id);
-        self.recording.retain(|(job, ..), _| *job != id);
         self.clear_suspects(id, None);
         if let Some(job) = self.jobs.remove(&id) {
             self.close_account(&job.whom.user);

@@ -349,10 +349,13 @@ impl World {
             } => {
                 for (id, tiles) in unbelieved(self.store(), workers, *condemned)? {
                     let tiles: Vec<_> = self.job(id).with_dependents(tiles).into_iter().collect();
+                    let was_done = self.job(id).record.state.phase() == JobPhase::Done;
                     if let Err(e) = self.store().invalidate_tiles(id, &tiles) {
                         // The change may be on the disk although its write failed. It opens all tiles
                         // of a done job.
-                        self.acknowledged.retain(|(job, _), _| *job != id);
+                        let opens = |tile: &TileIndex| was_done || tiles.contains(tile);
+                        self.acknowledged
+                            .retain(|(job, tile), _| *job != id || !opens(tile));
                         return Err(e);
                     }
                     let open = self.store().tiles(id)?;
