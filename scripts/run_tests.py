@@ -13,6 +13,7 @@ import argparse
 import concurrent.futures
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -23,6 +24,8 @@ ALONE = {"hostile"}
 FIRST = ["chaos", "cluster", "direct", "objects", "bake", "portals", "sights", "replicas"]
 # The time in seconds after which a program hangs.
 LIMIT = 1200
+# The programs that run now.
+RUNNING = set()
 
 
 def programs():
@@ -48,16 +51,28 @@ def run(program, skip):
     arguments = [argument for text in skip for argument in ("--skip", text)]
     started = time.monotonic()
     environment = dict(os.environ, CARGO_MANIFEST_DIR=folder)
+    # A group of its own, so that a program that hangs ends with the processes that it started.
+    started_program = subprocess.Popen(
+        [file, *arguments], cwd=folder, env=environment, start_new_session=True,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )
+    RUNNING.add(started_program)
     try:
-        ended = subprocess.run(
-            [file, *arguments], cwd=folder, env=environment, timeout=LIMIT, check=False,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )
-        failure = "" if ended.returncode == 0 else f"exit status {ended.returncode}"
-        output = ended.stdout
-    except subprocess.TimeoutExpired as expired:
-        failure, output = f"no end after {LIMIT} s", expired.stdout or b""
+        output, _ = started_program.communicate(timeout=LIMIT)
+        failure = "" if started_program.returncode == 0 else f"exit status {started_program.returncode}"
+    except subprocess.TimeoutExpired:
+        os.killpg(started_program.pid, signal.SIGKILL)
+        output, _ = started_program.communicate()
+        failure = f"no end after {LIMIT} s"
+    RUNNING.discard(started_program)
     return name, time.monotonic() - started, failure, output.decode(errors="replace")
+
+
+def stop(number, _frame):
+    """Ends the programs that run, with their processes, and this one."""
+    for program in list(RUNNING):
+        os.killpg(program.pid, signal.SIGKILL)
+    os._exit(128 + number)
 
 
 def main():
@@ -65,6 +80,8 @@ def main():
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--skip", action="append", default=[])
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
     order = {name: place for place, name in enumerate(FIRST)}
     found = sorted(programs(), key=lambda program: (order.get(program[0], len(FIRST)), program[0]))
     if not found:

@@ -188,12 +188,14 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), CliError> {
                 100.0 * s
             )),
         ));
+        let is_other =
+            matches!(items, Items::Triangles) && older.granularity() != newer.granularity();
         line(match is_bounded {
             true => format!("beyond what sampling may miss: {}", plural(beyond, "cell")),
             false if misses_nothing(older) && misses_nothing(newer) => {
                 "both results miss nothing: what came or went, and is not undecided, is a change".to_owned()
             }
-            false if older.granularity() != newer.granularity() => format!(
+            false if is_other => format!(
                 "the sets of the older result have {}, those of the newer one {}: triangles of an item that \
                  is seen in part may come or go without a change; bake both with one --granularity",
                 older.granularity().name(),

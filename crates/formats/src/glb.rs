@@ -77,6 +77,30 @@ pub fn is_glb(bytes: &[u8]) -> bool {
 /// # Errors
 /// [`GlbFault`] when the header or a chunk is cut off, or the first chunk is not JSON.
 pub fn chunks(bytes: &[u8]) -> Result<Vec<Chunk<'_>>, GlbFault> {
+    let chunks: Vec<Chunk<'_>> = walk(bytes)?.collect::<Result<_, _>>()?;
+    match chunks.first() {
+        Some((JSON, _)) => Ok(chunks),
+        _ => Err(GlbFault::NoJson),
+    }
+}
+
+/// Reads the JSON of a file, and its binary chunk if it is the second one, without memory for further chunks.
+///
+/// # Errors
+/// The errors of [`chunks`].
+pub fn document(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), GlbFault> {
+    let mut walk = walk(bytes)?;
+    let (first, second) = (walk.next().transpose()?, walk.next().transpose()?);
+    walk.try_for_each(|chunk| chunk.map(drop))?;
+    match (first, second) {
+        (Some((JSON, json)), Some((BINARY, binary))) => Ok((json, Some(binary))),
+        (Some((JSON, json)), _) => Ok((json, None)),
+        _ => Err(GlbFault::NoJson),
+    }
+}
+
+/// Checks the header of a file and returns its chunks one after another, up to the first fault.
+fn walk(bytes: &[u8]) -> Result<impl Iterator<Item = Result<Chunk<'_>, GlbFault>>, GlbFault> {
     let word = |at: usize| {
         let word = bytes.get(at..)?.first_chunk::<4>()?;
         Some(u32::from_le_bytes(*word))
@@ -91,30 +115,24 @@ pub fn chunks(bytes: &[u8]) -> Result<Vec<Chunk<'_>>, GlbFault> {
     let Some(bytes) = bytes.get(..announced as usize) else {
         return Err(GlbFault::CutOff { announced, present });
     };
-    let (mut at, mut chunks) = (HEADER, Vec::new());
-    while let Some(head) = bytes
-        .get(at..)
-        .and_then(|b| b.first_chunk::<CHUNK_HEADER>())
-    {
+    let (mut at, mut chunk) = (HEADER, 0);
+    Ok(std::iter::from_fn(move || {
+        let head = bytes.get(at..)?.first_chunk::<CHUNK_HEADER>()?;
         let [l0, l1, l2, l3, kind @ ..] = *head;
         let announced = u32::from_le_bytes([l0, l1, l2, l3]);
-        at += CHUNK_HEADER;
-        let end = at.checked_add(announced as usize);
-        let data = end.and_then(|end| bytes.get(at..end));
-        chunks.push((
-            kind,
-            data.ok_or(GlbFault::ChunkCutOff {
-                chunk: chunks.len(),
-                announced,
-                left: bytes.len() - at,
-            })?,
-        ));
-        at += announced as usize;
-    }
-    match chunks.first() {
-        Some((JSON, _)) => Ok(chunks),
-        _ => Err(GlbFault::NoJson),
-    }
+        let start = at + CHUNK_HEADER;
+        let end = start.checked_add(announced as usize);
+        let data = end.and_then(|end| bytes.get(start..end));
+        let fault = GlbFault::ChunkCutOff {
+            chunk,
+            announced,
+            left: bytes.len() - start,
+        };
+        // A fault ends the walk.
+        at = data.and(end).unwrap_or(bytes.len());
+        chunk += 1;
+        Some(data.map(|data| (kind, data)).ok_or(fault))
+    }))
 }
 
 /// Joins chunks into a file. Chunks are filled up to a multiple of four bytes, JSON with spaces and others
@@ -192,7 +210,12 @@ mod tests {
         assert_eq!(chunks(&file).unwrap(), expected);
         assert_eq!(length([2, 5, 0]), Ok(file.len() as u32));
         // Bytes behind the announced length are not part of the file.
-        assert_eq!(chunks(&[&file[..], b"rest"].concat()).unwrap(), expected);
+        let longer = [&file[..], b"rest"].concat();
+        assert_eq!(chunks(&longer).unwrap(), expected);
+        assert_eq!(
+            document(&longer).unwrap(),
+            (expected[0].1, Some(expected[1].1))
+        );
     }
 
     #[test]
@@ -209,6 +232,7 @@ mod tests {
         let file = join(&[(JSON, b"{}  "), (BINARY, &[0; 4])]).unwrap();
         for end in 0..file.len() {
             let fault = chunks(&file[..end]).unwrap_err();
+            assert_eq!(document(&file[..end]).unwrap_err(), fault);
             assert_eq!(fault == GlbFault::NoHeader, end < HEADER, "{end}: {fault}");
         }
         let mut long = file.clone();

@@ -122,8 +122,11 @@ const TRIANGLES: u32 = 4;
 
 /// Computes the length of a GLB with chunks of these lengths.
 fn fits<const N: usize>(chunks: [u64; N]) -> Result<u32, GlbError> {
-    glb::length(chunks).map_err(|_| GlbError::TooLarge {
-        bytes: chunks.iter().sum(),
+    glb::length(chunks).map_err(|fault| GlbError::TooLarge {
+        bytes: match fault {
+            glb::GlbFault::TooLong(bytes) => bytes,
+            _ => chunks.iter().sum(),
+        },
     })
 }
 
@@ -346,7 +349,7 @@ mod tests {
         assert!(matches!(
             fits([1 << 32]),
             Err(GlbError::TooLarge {
-                bytes: 4_294_967_296
+                bytes: 4_294_967_316
             })
         ));
         assert_eq!(fits([(1 << 32) - 24]).unwrap(), u32::MAX - 3);

@@ -83,14 +83,9 @@ pub(super) fn parse_glb(
     limits: &Limits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    let chunks = glb::chunks(bytes)
-        .map_err(|fault| SceneError::bad(file, fault.element(), fault.to_string(), EXPORT_AGAIN))?;
     // The format asks readers to step over chunks that they do not know.
-    let (json, binary) = match chunks[..] {
-        [(_, json), (glb::BINARY, binary), ..] => (json, Some(binary)),
-        [(_, json), ..] => (json, None),
-        [] => (&[][..], None),
-    };
+    let (json, binary) = glb::document(bytes)
+        .map_err(|fault| SceneError::bad(file, fault.element(), fault.to_string(), EXPORT_AGAIN))?;
     let alpha_textures = marks.reads_alpha();
     build(
         &Source {
