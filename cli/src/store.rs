@@ -19,6 +19,7 @@ use sightline_coordinator::store::{
 use crate::coordinating::blob_place;
 use crate::error::CliError;
 use crate::migrating::{self, Opened};
+use crate::opening::plural;
 use crate::output::{Format, Output};
 use crate::progress::say;
 use crate::serve::print;
@@ -287,11 +288,11 @@ fn tell(outcome: &Outcome) -> Result<(), CliError> {
     print(&format!(
         "{}, {}; {}, {} bytes; needed by nobody: {}, {} bytes; a coordinator removes these a day after they \
          were written",
-        count(found.scenes, "scene"),
-        count(found.jobs, "job"),
-        count(found.blobs, "blob"),
+        plural(found.scenes as usize, "scene"),
+        plural(found.jobs as usize, "job"),
+        plural(found.blobs as usize, "blob"),
         found.bytes,
-        count(found.unneeded, "blob"),
+        plural(found.unneeded as usize, "blob"),
         found.unneeded_bytes
     ))?;
     if let Some(refusal) = ownership.refusal() {
@@ -332,11 +333,6 @@ fn compact(args: &PlaceArgs, json: bool) -> Result<(), CliError> {
         "the journal had {} bytes and has {}",
         done.from, done.to
     ))
-}
-
-/// Returns a number with a noun.
-fn count(n: u64, noun: &str) -> String {
-    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
 }
 
 /// Hashes what is written.

@@ -1,5 +1,5 @@
-//! The bytes of files that others define: GLB and its chunks, PLY's header and numbers, and changes of glTF
-//! that keep the rest of a document as it is.
+//! The bytes of files that others define: GLB and its chunks, PLY's header and numbers, text in HTML, and
+//! changes of glTF that keep the rest of a document as it is.
 //!
 //! This crate does not depend on scenes. Its errors name the fault; callers add the file and the remedy.
 //!
@@ -14,4 +14,5 @@
 
 pub mod glb;
 pub mod gltf_edit;
+pub mod html;
 pub mod ply;

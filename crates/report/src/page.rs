@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use sightline_formats::html::escaped;
 use sightline_measure::{Frame, Report};
 
 use crate::blame::Blame;
@@ -45,17 +46,6 @@ pub struct About<'a> {
     pub over: Vec<OverBudget>,
     /// Who is to blame.
     pub blame: Blame,
-}
-
-/// Text of a document.
-fn escaped(text: &str) -> String {
-    // A document may hold no other control characters.
-    let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
-    let text = text.replace(is_refused, "\u{fffd}");
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
 }
 
 /// A point with few digits.

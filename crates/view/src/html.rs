@@ -1,6 +1,7 @@
 //! The page as one HTML document: style, program and data in their places.
 
 use serde_json::json;
+use sightline_formats::html::escaped;
 use sightline_pvs::layout::Section;
 
 use crate::pack::{block, triangles, values};
@@ -101,17 +102,6 @@ pub fn program(modules: &[&str]) -> String {
     out
 }
 
-/// Text of an HTML document.
-fn escaped(text: &str) -> String {
-    // A document may hold no other control characters.
-    let is_refused = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
-    let text = text.replace(is_refused, "\u{fffd}");
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
-
 #[cfg(test)]
 pub mod tests {
     use std::collections::BTreeSet;
@@ -141,14 +131,5 @@ pub mod tests {
     #[test]
     fn the_modules_are_one_program() {
         names_are_used_once(&program(&MODULES));
-    }
-
-    #[test]
-    fn text_ends_no_element() {
-        assert_eq!(escaped("<b>\"&"), "&lt;b&gt;&quot;&amp;");
-        assert_eq!(
-            escaped("a\u{1b}[31m\u{0}\u{85}\tb"),
-            "a\u{fffd}[31m\u{fffd}\u{fffd}\tb"
-        );
     }
 }
