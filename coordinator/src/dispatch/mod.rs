@@ -24,7 +24,7 @@ pub(crate) enum FollowUp {
     Assemble(JobId),
 }
 
-/// Lets a worker join. The caller does the follow-ups.
+/// Lets a worker join. The caller runs the follow-ups.
 pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
@@ -55,7 +55,7 @@ pub(crate) fn join(
     (answer, follow_ups)
 }
 
-/// Lets a worker go. The caller does the follow-ups.
+/// Lets a worker go. The caller runs the follow-ups.
 pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<FollowUp>) {
     let (mut departure, mut follow_ups) = (Departure::Lost, Vec::new());
     let scheduling = &mut *c.lock();

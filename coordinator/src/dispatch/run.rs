@@ -1,8 +1,8 @@
 //! The work that follows from an event and blocks: commands of the store, and assembling results.
 //!
 //! The scheduler's lock is never held during a call of the store. Commands about records of jobs take turns
-//! (`Coordinator::turn`), so that the scheduler hears of them in the order in which the store carried them
-//! out; the outputs of tiles do not, so that many of them share one sync of the disk.
+//! (`Coordinator::turn`): the scheduler receives them in the order of the store. The outputs of tiles do not,
+//! so that many of them share one sync of the disk.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,7 +23,7 @@ pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
     run_follow_ups(c, follow_ups);
 }
 
-/// Does follow-ups and all that follow from them. Blocks on the disk.
+/// Runs follow-ups and their own follow-ups. Blocks on the disk.
 pub(crate) fn run_follow_ups(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
     let mut open = VecDeque::from(follow_ups);
     while let Some(follow_up) = open.pop_front() {
@@ -40,15 +40,15 @@ pub(crate) fn run_follow_ups(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
     }
 }
 
-/// Runs a command of the store and tells the scheduler how it went.
+/// Runs a command of the store and passes its outcome to the scheduler.
 fn run(c: &Arc<Coordinator>, command: StoreCommand) -> Vec<FollowUp> {
-    // Until the scheduler has heard of it.
+    // Until the scheduler has received the outcome.
     let _turn = c.turn();
     let mut follow_ups = Vec::new();
     match outcome(c, &command, &mut follow_ups) {
         Ok(Some(event)) => follow_ups.extend(tell(c, event)),
         Ok(None) => {}
-        // The job has changed in the meantime; the scheduler has heard of that, or will.
+        // The job has changed in the meantime; the scheduler has received that, or will.
         Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
         Err(e) => {
             let text = format!("no tiles are granted for a while: {e}");
@@ -157,7 +157,7 @@ fn outcome(
                             ..what
                         });
                     }
-                    // A late result has come in between; the scheduler hears of it.
+                    // A late result has come in between; the scheduler receives it.
                     Err(StoreError::TileNotOpen { .. }) => {}
                     Err(e) => return Err(e),
                 }

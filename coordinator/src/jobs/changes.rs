@@ -1,4 +1,4 @@
-//! A job's record moves to another state, and the scheduler hears of it. The caller does the follow-ups.
+//! Changes of the state of a job: in the store, then in the scheduler. The caller runs the follow-ups.
 
 use crate::dispatch::{FollowUp, tell};
 use crate::ids::JobId;

@@ -1,4 +1,4 @@
-//! What jobs have waited for (`suspend.rs`) is there again.
+//! The end of a wait for a lost blob (`suspend.rs`): the jobs continue.
 
 use std::sync::{Arc, PoisonError};
 

@@ -16,7 +16,7 @@ use crate::store::{JobPhase, JobRecord, JobState, StoreError};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Pauses the jobs of a scene or of receivers that cannot be read. Workers that have them finish their tiles.
-/// Nothing happens where no job names them. Returns the jobs that wait for them. The caller does the
+/// Nothing happens where no job names them. Returns the jobs that wait for them. The caller runs the
 /// follow-ups.
 pub(crate) fn lost(
     c: &Coordinator,

@@ -1,4 +1,4 @@
-//! What the scheduler is told, and what it wants done.
+//! The events that the scheduler receives, and the effects that it returns.
 //!
 //! An [`Event`] has happened already. An [`Effect`] is to be carried out by the caller, in the order of the
 //! list; the outcome of a [`StoreCommand`] comes back as a later event.

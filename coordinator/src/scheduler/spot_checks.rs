@@ -6,7 +6,7 @@
 //! it only if nobody else is there. When two answers differ, all who had a
 //! hand in either are suspects, and get nothing but checks of other tiles until the same answer has come
 //! twice. Then the others are quarantined: which of them was wrong, the bytes do not say. What they did since
-//! they were last right is computed again; that is a [`StoreCommand`] of the store. A job without another
+//! they were last right is computed again; that is a [`StoreCommand`]. A job without another
 //! worker goes on unchecked after a while, and says so; one with two different answers waits.
 
 use std::collections::BTreeSet;

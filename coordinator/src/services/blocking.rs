@@ -98,7 +98,7 @@ pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Optio
         .map_err(|beyond| Status::resource_exhausted(beyond.to_string()))
 }
 
-/// Does follow-ups on one of tokio's threads for blocking work; the caller does not wait for them.
+/// Runs follow-ups on one of tokio's threads for blocking work; the caller does not wait for them.
 pub(super) fn later(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
     if follow_ups.is_empty() {
         return;
