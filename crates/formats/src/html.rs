@@ -1,7 +1,7 @@
 //! Text in HTML documents.
 
-/// Escapes a text for an HTML document. Control characters, which a document may not hold, become U+FFFD; line
-/// ends and tabs stay.
+/// Escapes a text for an HTML document. Control characters, which a document may not hold, become U+FFFD;
+/// line ends and tabs stay.
 pub fn escaped(text: &str) -> String {
     let is_forbidden = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     text.replace(is_forbidden, "\u{fffd}")
