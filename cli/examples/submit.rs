@@ -5,11 +5,10 @@
 use std::error::Error;
 use std::path::Path;
 
-use sightline_model::JobSpec;
+use sightline_model::{GridCells, JobSpec, KnownCells, Method, Sampler, Sampling};
 use sightline_proto::chunks;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_proto::v1::{self, JobState};
-use sightline_viewcells::Division;
 
 /// Bakes the scene at `path` with 4×2×4 cells at the coordinator `url`; gives the result's bytes.
 ///
@@ -47,12 +46,14 @@ pub async fn bake_at(url: &str, path: &Path) -> Result<Vec<u8>, Box<dyn Error>> 
         .await?;
 
     // A request with the same id again is answered with the same job.
-    let spec = JobSpec::new(digest, Division::Grid([4, 2, 4]), scene.bounds());
+    let cells = GridCells::new(scene.bounds(), [4, 2, 4])?;
+    let sampling = Sampling::new(Sampler::lines(KnownCells::Grid(cells)));
+    let spec = JobSpec::new(digest, Method::aggressive(sampling));
     let request_id = format!("example {}", std::process::id());
     let request = v1::SubmitRequest {
         request_id,
         name: "example".to_owned(),
-        spec: Some(spec.to_proto()),
+        spec: Some(spec.to_message()),
         ..Default::default()
     };
     let job = client

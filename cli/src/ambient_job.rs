@@ -156,7 +156,7 @@ pub async fn submit(
     let request = v1::SubmitRequest {
         request_id: client::fresh_request_id(),
         name: whom.name.clone(),
-        spec: Some(JobSpec::of_receivers(scene.digest().0, ambient).to_proto()),
+        spec: Some(JobSpec::of_receivers(scene.digest().0, ambient).to_message()),
         priority: whom.priority,
         user: whom.user.clone(),
     };

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 use sightline_coordinator::SceneQueries;
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
@@ -54,7 +54,7 @@ impl SceneQueries for Commands {
             images: None,
             turntable: false,
             resolution: asked.resolution,
-            backend: BackendChoice::Auto,
+            backend: TracerChoice::Auto,
         };
         let report =
             measuring::measured_in(&args, pvs, Arc::new(scene), (None, None), &mut |_, _| {

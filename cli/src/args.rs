@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 
 use crate::ambient_args::AmbientArgs;
 use crate::bench_args::BenchArgs;
@@ -445,8 +445,8 @@ pub struct MeasureArgs {
     #[arg(long, value_name = "PX", default_value_t = 256)]
     pub resolution: u32,
     /// The backend that renders the frames: cpu, gpu, or auto, the cpu if Embree is installed, else the gpu.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
-    pub backend: BackendChoice,
+    #[arg(long, value_parser = choice::<TracerChoice>(), default_value_t, hide_possible_values = true)]
+    pub backend: TracerChoice,
     /// Write the eight worst frames to this folder as PNG: correct pixels green, wrong pixels red. The six
     /// faces around the viewpoint have their names in their corners.
     #[arg(long, value_name = "DIR")]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use sightline_model::BackendChoice;
+use sightline_model::{NamedValue, TracerChoice};
 use sightline_sampling::{Backend, CubeSpec};
 use sightline_scene::Scene;
 use sightline_worker::{Backends, TracerSelection};
@@ -23,13 +23,49 @@ pub fn say_missing(backends: &Backends) -> Result<(), CliError> {
     Ok(())
 }
 
-/// A backend choice as the type of the worker crate.
-pub fn choice(backend: BackendChoice) -> TracerSelection {
-    match backend {
-        // A job without a backend is worked on by whoever has some.
-        BackendChoice::Auto | BackendChoice::None => TracerSelection::Auto,
-        BackendChoice::Gpu => TracerSelection::Gpu,
-        BackendChoice::Cpu => TracerSelection::Cpu,
+/// The backend of a job: a choice of a tracer, or none, for jobs that need none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BackendOption(pub Option<TracerChoice>);
+
+impl Default for BackendOption {
+    fn default() -> Self {
+        Self(Some(TracerChoice::default()))
+    }
+}
+
+impl NamedValue for BackendOption {
+    const PARAMETER: &'static str = TracerChoice::PARAMETER;
+    const ALL: &'static [Self] = &[
+        Self(Some(TracerChoice::Auto)),
+        Self(Some(TracerChoice::Gpu)),
+        Self(Some(TracerChoice::Cpu)),
+        Self(None),
+    ];
+
+    fn name(self) -> &'static str {
+        self.0.map_or("none", TracerChoice::name)
+    }
+
+    fn about(self) -> &'static str {
+        self.0.map_or(
+            "None: the method portals needs no backend.",
+            TracerChoice::about,
+        )
+    }
+}
+
+impl std::fmt::Display for BackendOption {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Returns the choice of a tracer as the type of the worker crate.
+pub fn choice(tracer: TracerChoice) -> TracerSelection {
+    match tracer {
+        TracerChoice::Auto => TracerSelection::Auto,
+        TracerChoice::Gpu => TracerSelection::Gpu,
+        TracerChoice::Cpu => TracerSelection::Cpu,
     }
 }
 
@@ -53,17 +89,17 @@ pub fn say_other(made: &str, judged: &str) {
 /// Opens a backend that draws or traces a whole scene here; also its numerics profile. Embree does that well,
 /// so with `auto` the gpu is probed only when Embree is missing.
 pub fn open_backend(
-    wanted: BackendChoice,
+    wanted: TracerChoice,
     scene: &Arc<Scene>,
     spec: CubeSpec,
 ) -> Result<(String, Arc<dyn Backend>), CliError> {
     let probe = |of| sightline_worker::Backends::probe(of, Default::default());
-    let mut backends = probe(if wanted == BackendChoice::Auto {
+    let mut backends = probe(if wanted == TracerChoice::Auto {
         TracerSelection::Cpu
     } else {
         choice(wanted)
     });
-    if wanted == BackendChoice::Auto && backends.profiles().is_empty() {
+    if wanted == TracerChoice::Auto && backends.profiles().is_empty() {
         backends = probe(TracerSelection::Auto);
     }
     say_missing(&backends)?;

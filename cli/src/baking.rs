@@ -11,7 +11,7 @@ use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{
     Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError,
 };
-use sightline_model::{BackendChoice, JobSpec, Method, Sampler};
+use sightline_model::{JobSpec, Method, Sampler, TracerChoice, Visibility};
 use sightline_portals::Partition;
 use sightline_proto::connecting::{Connection, Credentials};
 use sightline_proto::v1;
@@ -64,7 +64,8 @@ pub fn bake(
 ) -> Result<Outcome, CliError> {
     let start = Instant::now();
     serve::use_threads(threads(None))?;
-    let choice = match backends::choice(args.job.backend) {
+    // A job without a tracer is worked on by whoever has some.
+    let choice = match backends::choice(args.job.backend.0.unwrap_or(TracerChoice::Auto)) {
         TracerSelection::Auto => TracerSelection::Fast,
         choice => choice,
     };
@@ -85,13 +86,15 @@ pub fn bake(
     let loaded = Arc::new(TracedScene::new(Arc::clone(&scene))?);
     let probing = probing.then_warm(&loaded, &spec);
     let has_doors = (0..scene.len()).any(|id| scene.kinds().kind(id) == Kind::Door);
-    if spec.method == Method::Portals || spec.has_portals() && has_doors && spec.time_budget_ms == 0
+    if let Some(task) = spec.visibility()
+        && (matches!(task.method, Method::Portals { .. })
+            || task.has_portals() && has_doors && task.time_budget().is_none())
     {
         // The workers of this process find it made.
         let partition =
             loaded
                 .scene
-                .partition(&spec, hooks.stop)
+                .partition(task, hooks.stop)
                 .map_err(|e| match (hooks.stop)() {
                     true => interrupted(),
                     false => CliError::internal(e),
@@ -223,11 +226,12 @@ impl Probing {
 
     /// After the search, prepares the tracing of sight lines while the scene is stored and the job planned.
     fn then_warm(mut self, loaded: &Arc<TracedScene>, spec: &JobSpec) -> Self {
-        if spec.sampling.sampler != Sampler::Cubes
-            && spec.backend != BackendChoice::None
+        let sampling = spec.visibility().and_then(Visibility::sampling);
+        if let Some(sampling) = sampling
+            && !matches!(sampling.sampler, Sampler::Cubes { .. })
             && let Some(probe) = self.0.take()
         {
-            let (loaded, spec) = (Arc::clone(loaded), CubeSpec::of(&spec.sampling));
+            let (loaded, spec) = (Arc::clone(loaded), CubeSpec::of(&sampling.sampler));
             self.0 = Some(std::thread::spawn(move || {
                 let backends = probe
                     .join()
@@ -333,7 +337,7 @@ async fn run(
                 .await
                 .map_err(CliError::internal)??;
         }
-        let needs_backend = spec.backend != BackendChoice::None;
+        let needs_backend = spec.tracer().is_some();
         if needs_backend {
             backends::say_missing(&probed)?;
         }
@@ -380,10 +384,10 @@ async fn run(
         workers.end().await;
         job = ended?;
     } else {
-        say(match spec.time_budget_ms {
-            0 => "this bake is in the store already",
+        say(match spec.time_budget() {
+            None => "this bake is in the store already",
             // The time runs on while a bake is interrupted, so the result may come from far less work.
-            _ => {
+            Some(_) => {
                 "this bake is in the store already, with the result of its time budget; another \
                  --time-budget or --data-dir starts a new bake"
             }
@@ -408,7 +412,7 @@ async fn submit(
     let request = v1::SubmitRequest {
         request_id: client::fresh_request_id(),
         name: name.chars().filter(|c| !c.is_control()).take(32).collect(),
-        spec: Some(spec.to_proto()),
+        spec: Some(spec.to_message()),
         ..v1::SubmitRequest::default()
     };
     client

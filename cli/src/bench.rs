@@ -76,7 +76,7 @@ mod tests {
 
     #[test]
     fn uniform_cubes_reach_message_of_job() {
-        use sightline_model::{ErrorMeasure, JobSpec};
+        use sightline_model::{ErrorMeasure, JobSpec, SceneFacts, Visibility};
         use sightline_scene::generate::{Kind, Params, generate};
 
         let scene = std::sync::Arc::new(generate(Kind::Rooms, &Params::default()).unwrap());
@@ -91,9 +91,11 @@ mod tests {
                 .job
                 .spec(std::path::Path::new("a.glb"), &scene)
                 .unwrap();
-            let spec = JobSpec::from_proto(&spec.to_proto(), None).unwrap();
-            assert_eq!(spec.sampling.measure, ErrorMeasure::Uniform);
-            let distance = spec.sampling.min_distance;
+            let spec = JobSpec::from_message(&spec.to_message(), &SceneFacts::default()).unwrap();
+            let sampling = spec.visibility().and_then(Visibility::sampling).unwrap();
+            let params = sampling.sampler.cube_params().unwrap();
+            assert_eq!(params.measure, ErrorMeasure::Uniform);
+            let distance = params.min_distance.get();
             assert!(
                 rung.parameter.ends_with(&format!(" {distance}")),
                 "{} is {distance}",

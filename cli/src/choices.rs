@@ -1,11 +1,11 @@
 //! The choices of a job as values of arguments, with the names and help lines of
-//! [`sightline_model::Choice`].
+//! [`sightline_model::NamedValue`].
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use sightline_model::Choice;
+use sightline_model::NamedValue;
 
 /// A parser of the names of a choice.
-pub fn choice<C: Choice>() -> impl TypedValueParser<Value = C> {
+pub fn choice<C: NamedValue>() -> impl TypedValueParser<Value = C> {
     let values = C::ALL
         .iter()
         .map(|c| PossibleValue::new(c.name()).help(c.about()));

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use sightline_model::job::json::find_field;
 use sightline_portals::{
     Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of,
 };
@@ -125,7 +126,9 @@ fn short(x: f64) -> String {
 /// The scene of a result whose cells are open boxes, of which walls in faces block.
 pub fn walls_of<'a>(pvs: &Pvs, scene: &'a Scene) -> Option<&'a Scene> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    info["division"]["tree"].is_object().then_some(scene)
+    find_field(&info["spec"], "boxes")
+        .is_some()
+        .then_some(scene)
 }
 
 /// The region that holds all viewpoints of a result, with the planes of its scene.

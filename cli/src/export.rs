@@ -98,7 +98,7 @@ fn sidecar(pvs: &Pvs) -> Result<Value, CliError> {
     let cells = (0..pvs.cells()).filter_map(|number| cell(pvs, number).transpose());
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     Ok(json!({
-        "format": "sightline.sidecar", "version": 1, "method": pvs.method(), "up": info["up"],
+        "format": "sightline.sidecar", "version": 1, "method": pvs.method(), "up": info["spec"]["visibility"]["up"],
         "view_box": pvs.tree().view_box(), "objects": objects(pvs),
         "cells": cells.collect::<Result<Vec<_>, _>>()?,
     }))

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use sightline_model::job::json::find_field;
 use sightline_pvs::{Granularity, Pvs, PvsError};
 
 use crate::args::InfoArgs;
@@ -133,7 +134,8 @@ impl Summary {
         // Another program may have written the result, so its parameters may be anything.
         let info: serde_json::Value =
             serde_json::from_str(pvs.info_json()).unwrap_or_else(|_| pvs.info_json().into());
-        let budget = info["division"]["adaptive"]["budget"].as_u64();
+        let budget =
+            find_field(&info["spec"], "triangle_budget").and_then(serde_json::Value::as_u64);
         // Collected before the error is taken, so that the first damaged cell is reported on every run.
         let sets: Vec<Result<(u64, u64, bool, bool), PvsError>> = (0..pvs.cells())
             .into_par_iter()
@@ -286,10 +288,10 @@ impl Summary {
                     greatest * 100.0,
                     mean * 100.0
                 ),
-                _ if self.info["sampling"]["max_error"].is_number() => {
+                _ if find_field(&self.info["spec"], "max_error").is_some() => {
                     "missed sight lines: the bound asked for was not reached in any cell".to_owned()
                 }
-                _ if self.info["division"]["adaptive"].is_object() => {
+                _ if find_field(&self.info["spec"], "adaptive").is_some() => {
                     "missed sight lines: not bounded (only those of a grid can be)".to_owned()
                 }
                 _ => "missed sight lines: not bounded (--max-error F bounds them)".to_owned(),
@@ -363,8 +365,8 @@ impl Summary {
         }
         // Exact queries decide afterwards whatever sampling leaves, so unfinished cells do not matter then.
         if self.cells_unfinished > 0 && self.decided.is_none() {
-            let why = match self.info["time_budget_ms"].as_u64() {
-                Some(1..) => "the time budget ended first",
+            let why = match find_field(&self.info["spec"], "time_budget_ms") {
+                Some(_) => "the time budget ended first",
                 _ => "sampling gave up after many rounds; info --cells lists the hardest cells",
             };
             lines.push(format!(

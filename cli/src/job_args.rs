@@ -5,17 +5,23 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
+use sightline_model::numbers::{
+    ErrorThreshold, InteriorThreshold, Length, MaxError, MinDistance, MinShare, RayCount,
+    Resolution, TargetError, TileCells, TimeBudget, TriangleBudget,
+};
 use sightline_model::{
-    BackendChoice, CellToCell, ErrorMeasure, Granularity, JobSpec, MOST_LINE_DEPTH, Method,
-    Sampler, SamplingParams, SupersetChoice,
+    Adaptive, CellToCell, CubeCells, CubeGrid, CubeParams, Effort, ErrorMeasure, Granularity,
+    GridCells, JobSpec, KnownCells, LineAim, MOST_LINE_DEPTH, Method, MethodName, OutOfRange,
+    Sampler, SamplerName, Sampling, SceneFacts, SpecError, Stop, SupersetChoice, Task,
+    TracerChoice, USUAL_GRID, Viewpoints, Visibility,
 };
 use sightline_sampling::embree;
-use sightline_scene::{Aabb, Scene};
-use sightline_viewcells::{Division, MOST_BOXES};
+use sightline_scene::{Aabb, Scene, Triangle};
+use sightline_viewcells::{DivisionError, Lattice, MOST_BOXES, axis_name};
 
+use crate::backends::BackendOption;
 use crate::choices::choice;
 use crate::error::CliError;
-use crate::opening;
 use crate::place_args::{PlaceArgs, parse_length};
 use crate::progress::say;
 
@@ -31,8 +37,8 @@ pub struct JobArgs {
     /// --time-budget. portals: nothing is sampled; what walls hide, seen through the doors and windows
     /// between them, is hidden, and what else has no witness is undecided. That takes a small fraction of the
     /// time of exact indoors, and hides little in the open. Undecided triangles are reported and drawn.
-    #[arg(long, value_parser = choice::<Method>(), default_value_t)]
-    method: Method,
+    #[arg(long, value_parser = choice::<MethodName>(), default_value_t)]
+    method: MethodName,
     /// Keep a witness for every visible triangle and a proof for every hidden triangle in the result, for
     /// `sightline verify` and `sightline query --why`. Needs --method exact or verified. The file becomes
     /// many times larger.
@@ -62,8 +68,8 @@ pub struct JobArgs {
     )]
     max_depth: u32,
     /// How visibility is sampled. Default: lines; for adaptive trees deeper than 12: cubes.
-    #[arg(long, value_parser = choice::<Sampler>())]
-    sampler: Option<Sampler>,
+    #[arg(long, value_parser = choice::<SamplerName>())]
+    sampler: Option<SamplerName>,
     /// A cell is finished when it is expected to miss at most this fraction of the sight lines from it,
     /// including lines that meet nothing. A cell that takes many times the work of the others has a larger
     /// tolerance. The fraction is an estimate, not a bound. Default: 0.0001, or the value of --max-error.
@@ -119,8 +125,8 @@ pub struct JobArgs {
     /// The backend that traces sight lines and renders cubes. auto times both on this scene and takes the
     /// faster one; the gpu has to be twice as fast as the cpu, so that timing noise does not decide which is
     /// used.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t)]
-    pub backend: BackendChoice,
+    #[arg(long, value_parser = choice::<BackendOption>(), default_value_t)]
+    pub backend: BackendOption,
     /// Seed of all random numbers. The sampler cubes uses none.
     #[arg(long, value_name = "S", default_value_t = 0)]
     seed: u64,
@@ -158,9 +164,73 @@ struct CubeArgs {
     superset: Option<SupersetChoice>,
 }
 
+/// The options that a job of another kind makes no use of, with what each needs. A job that is given one of them
+/// is rejected; of all other options without use a note is enough.
+const NEEDS: &[(&str, &str)] = &[
+    (
+        "--certificates",
+        "--method exact or verified: sampling alone proves nothing",
+    ),
+    (
+        "--granularity",
+        "--method aggressive: exact queries decide triangles. `dump --items objects` lists the \
+      objects of an exact result",
+    ),
+    ("--sampler", "a method that samples"),
+    ("--contributions", "a method that samples"),
+    (
+        "--backend",
+        "a method that samples; --backend none is for --method portals",
+    ),
+    (
+        "--triangle-budget",
+        "a method that samples, and --sampler lines or cubes; give --cells for another one",
+    ),
+    (
+        "--cells walls:N",
+        "--sampler lines or guided, or --method portals: visibility cubes are shared by the \
+      cells of a grid",
+    ),
+    (
+        "--max-error",
+        "--sampler lines and a grid of cells (--cells)",
+    ),
+    (
+        "--min-share",
+        "--sampler lines and known cells (--cells), and cannot be given with --max-error",
+    ),
+    (
+        "--time-budget",
+        "--method portals, or --sampler lines or guided",
+    ),
+];
+
+/// The options that were given and that no part of the job has taken yet.
+struct Given(Vec<&'static str>);
+
+impl Given {
+    /// Takes options: the job makes use of them if they were given.
+    fn take(&mut self, options: &[&str]) {
+        self.0.retain(|option| !options.contains(option));
+    }
+
+    /// Rejects the options that are left over, and returns those of which a note is enough.
+    fn finish(self) -> Result<Vec<&'static str>, CliError> {
+        let needs = |option: &&str| NEEDS.iter().find(|(of, _)| of == option);
+        let wrong = self.0.iter().filter_map(needs);
+        let wrong: Vec<String> = wrong
+            .map(|(option, needs)| format!("{option} needs {needs}"))
+            .collect();
+        match wrong.is_empty() {
+            true => Ok(self.0),
+            false => Err(CliError::Usage(wrong.join("; "))),
+        }
+    }
+}
+
 impl CubeArgs {
-    /// The flags that were given.
-    fn given(&self) -> Vec<&'static str> {
+    /// Returns the names of all of its options, with whether each was given.
+    fn all(&self) -> [(&'static str, bool); 7] {
         [
             ("--resolution", self.resolution.is_some()),
             ("--error-threshold", self.error_threshold.is_some()),
@@ -170,188 +240,224 @@ impl CubeArgs {
             ("--no-solids", self.no_solids),
             ("--superset", self.superset.is_some()),
         ]
-        .into_iter()
-        .filter_map(|(flag, given)| given.then_some(flag))
-        .collect()
     }
 
-    /// Copies the flags into `params`; a flag that was not given leaves its parameter as it is.
-    fn apply(&self, params: &mut SamplingParams) {
-        params.resolution = self.resolution.unwrap_or(params.resolution);
-        params.error_threshold = self.error_threshold.unwrap_or(params.error_threshold);
-        params.interior_threshold = self.interior_threshold.unwrap_or(params.interior_threshold);
-        params.min_distance = self.min_distance.unwrap_or(params.min_distance);
-        params.solids = !self.no_solids;
-        params.measure = self.error_measure.unwrap_or(params.measure);
-        params.superset = self.superset.unwrap_or(params.superset);
+    /// Returns the parameters of the cubes.
+    fn params(&self) -> Result<CubeParams, OutOfRange> {
+        Ok(CubeParams {
+            resolution: self
+                .resolution
+                .map_or(Ok(Resolution::default()), Resolution::new)?,
+            measure: self.error_measure.unwrap_or_default(),
+            error_threshold: self
+                .error_threshold
+                .map_or(Ok(ErrorThreshold::default()), ErrorThreshold::new)?,
+            interior_threshold: self
+                .interior_threshold
+                .map_or(Ok(InteriorThreshold::default()), InteriorThreshold::new)?,
+            min_distance: self
+                .min_distance
+                .map_or(Ok(MinDistance::default()), MinDistance::new)?,
+            solids: !self.no_solids,
+            superset: self.superset.unwrap_or_default(),
+        })
     }
 }
 
+/// The numbers of a job, each in its range, whether the job makes use of them or not.
+struct Numbers {
+    target_error: TargetError,
+    max_error: Option<MaxError>,
+    min_share: Option<MinShare>,
+    rays: RayCount,
+    time: Option<TimeBudget>,
+    far: Option<Length>,
+    tile_cells: Option<TileCells>,
+    cubes: CubeParams,
+}
+
 impl JobArgs {
-    /// The checked specification of a bake of `scene`.
-    pub fn spec(&self, path: &Path, scene: &Arc<Scene>) -> Result<JobSpec, CliError> {
-        let method = self.method;
-        let adaptive = self.triangle_budget.is_some();
-        let sampler = match self.sampler {
-            None if adaptive && self.max_depth > MOST_LINE_DEPTH => Sampler::Cubes,
-            Some(sampler) => sampler,
-            None => Sampler::Lines,
-        };
-        let refuse = |what: &str| Err(CliError::Usage(what.to_owned()));
-        if adaptive && sampler == Sampler::Guided {
-            return refuse(
-                "an adaptive tree (--triangle-budget) needs --sampler lines or cubes; give --cells for \
-                 another sampler",
-            );
+    /// Checks the numbers.
+    fn numbers(&self) -> Result<Numbers, OutOfRange> {
+        let max_error = self.max_error.map(MaxError::new).transpose()?;
+        // A bound is the target, too, unless another one is given.
+        let target = self.target_error.or(self.max_error);
+        // The least budget is a millisecond.
+        let time = self.time_budget.map(|d| (d.as_millis() as u64).max(1));
+        Ok(Numbers {
+            target_error: target.map_or(Ok(TargetError::default()), TargetError::new)?,
+            max_error,
+            min_share: self.min_share.map(MinShare::new).transpose()?,
+            rays: self.rays.map_or(Ok(RayCount::default()), RayCount::new)?,
+            time: time.map(TimeBudget::new).transpose()?,
+            far: self.far.map(|far| Length::new(far.into())).transpose()?,
+            tile_cells: self.block_cells.map(TileCells::new).transpose()?,
+            cubes: self.cubes.params()?,
+        })
+    }
+
+    /// Returns the sampler that is asked for: by default lines, and cubes for trees that lines do not sample.
+    fn sampler(&self) -> SamplerName {
+        let is_deep = self.triangle_budget.is_some() && self.max_depth > MOST_LINE_DEPTH;
+        self.sampler.unwrap_or(match is_deep {
+            true => SamplerName::Cubes,
+            false => SamplerName::Lines,
+        })
+    }
+
+    /// Returns the options that were given, other than those that every job has.
+    fn given(&self) -> Given {
+        let of = [
+            ("--certificates", self.certificates),
+            ("--granularity", self.granularity != Granularity::Triangles),
+            ("--sampler", self.sampler.is_some()),
+            ("--contributions", self.contributions),
+            ("--backend", self.backend != BackendOption::default()),
+            ("--triangle-budget", self.triangle_budget.is_some()),
+            (
+                "--cells walls:N",
+                matches!(self.cells, Some(Cells::Walls(_))),
+            ),
+            ("--max-error", self.max_error.is_some()),
+            ("--min-share", self.min_share.is_some()),
+            ("--time-budget", self.time_budget.is_some()),
+            ("--target-error", self.target_error.is_some()),
+            ("--rays", self.rays.is_some()),
+            ("--block-cells", self.block_cells.is_some()),
+        ];
+        let all = of.into_iter().chain(self.cubes.all());
+        Given(
+            all.filter_map(|(option, is_given)| is_given.then_some(option))
+                .collect(),
+        )
+    }
+
+    /// Rejects options that the job makes no use of and that change what a user expects; returns the others.
+    fn unused(&self) -> Result<Vec<&'static str>, CliError> {
+        let mut given = self.given();
+        let is_adaptive = self.triangle_budget.is_some();
+        match self.method {
+            MethodName::Portals => {
+                given.take(&["--cells walls:N", "--time-budget", "--block-cells"]);
+                if self.backend == BackendOption(None) {
+                    given.take(&["--backend"]);
+                }
+                return given.finish();
+            }
+            MethodName::Aggressive => given.take(&["--granularity"]),
+            MethodName::Exact | MethodName::Verified => given.take(&["--certificates"]),
         }
-        if adaptive && sampler == Sampler::Lines && self.max_depth > MOST_LINE_DEPTH {
-            return refuse(
-                "--sampler lines supports a --max-depth of at most 12; give a smaller one, or --sampler \
-                 cubes, which takes far longer",
-            );
+        given.take(&["--sampler", "--contributions"]);
+        if self.backend != BackendOption(None) {
+            given.take(&["--backend"]);
+        }
+        match self.sampler() {
+            SamplerName::Lines => {
+                given.take(&[
+                    "--target-error",
+                    "--time-budget",
+                    "--triangle-budget",
+                    "--cells walls:N",
+                ]);
+                if !is_adaptive {
+                    given.take(&["--max-error"]);
+                    if self.max_error.is_none() {
+                        given.take(&["--min-share"]);
+                    }
+                }
+            }
+            SamplerName::Guided => given.take(&["--rays", "--time-budget", "--cells walls:N"]),
+            SamplerName::Cubes => {
+                given.take(&["--triangle-budget"]);
+                given.take(&self.cubes.all().map(|(option, _)| option));
+            }
+        }
+        if self.sampler() != SamplerName::Cubes && !is_adaptive {
+            given.take(&["--block-cells"]);
+        }
+        given.finish()
+    }
+
+    /// Returns the checked specification of a bake of `scene`.
+    ///
+    /// # Errors
+    /// [`CliError`] naming the option.
+    pub fn spec(&self, path: &Path, scene: &Arc<Scene>) -> Result<JobSpec, CliError> {
+        let usage = |e: &dyn std::fmt::Display| CliError::Usage(e.to_string());
+        let numbers = self.numbers().map_err(|e| usage(&e))?;
+        let unused = self.unused()?;
+        if !unused.is_empty() {
+            let tree = match self.triangle_budget {
+                Some(_) => " in an adaptive tree",
+                None => "",
+            };
+            say(&format!(
+                "note: the sampler {}{tree} makes no use of {}",
+                self.sampler(),
+                unused.join(", ")
+            ));
         }
         // Where no graphics card is found, auto means Embree.
-        if matches!(self.backend, BackendChoice::Auto | BackendChoice::Cpu)
-            && method != Method::Portals
-        {
+        let tracer = self
+            .backend
+            .0
+            .filter(|_| self.method != MethodName::Portals);
+        if matches!(tracer, Some(TracerChoice::Auto | TracerChoice::Cpu)) {
             let narrow = |e| CliError::Input(format!("{}: {e}", path.display()));
             embree::check_width(scene).map_err(narrow)?;
         }
-        if self.certificates && method == Method::Aggressive {
-            return refuse(
-                "--certificates needs --method exact or verified: sampling alone proves nothing",
-            );
-        }
-        if method != Method::Aggressive {
-            opening::without_masks(scene)?;
-        }
-        if self.max_error.is_some() && (adaptive || sampler != Sampler::Lines) {
-            return refuse("--max-error needs --sampler lines and a grid of cells (--cells)");
-        }
-        if self.time_budget.is_some() && sampler == Sampler::Cubes {
-            return refuse("--time-budget needs --sampler lines or guided");
-        }
-        if method == Method::Portals {
-            self.check_portals()?;
-        }
-        let sampling = self.sampling(sampler)?;
-        if self.granularity != Granularity::Triangles && method != Method::Aggressive {
-            return refuse(
-                "--granularity clusters and objects need --method aggressive: exact queries decide \
-                 triangles. `dump --items objects` lists the objects of an exact result",
-            );
-        }
-        if self.min_share.is_some() && (sampler != Sampler::Lines || self.max_error.is_some()) {
-            return refuse(
-                "--min-share needs --sampler lines, and cannot be given with --max-error",
-            );
-        }
-        if !scene.sides().are_both() && method != Method::Aggressive {
-            return refuse(
-                "--cull-back-faces needs --method aggressive: exact queries take every triangle as seen from \
-                 both sides",
-            );
-        }
-        if self.far.is_some() && self.certificates {
-            return refuse(
-                "--far has no certificates: they prove that triangles are hidden, and not that they are far; \
-                 leave one of them out",
-            );
-        }
-        let walled = self.walled(sampler)?;
-        let view_box = self.places.bounds(scene)?;
-        let mut spec = JobSpec {
-            scene: scene.digest().0,
-            division: match self.triangle_budget {
-                Some(budget) => Division::Adaptive {
-                    budget,
-                    max_depth: self.max_depth,
-                },
-                None => Division::Grid(match (self.cell_size, self.cells) {
-                    (Some(size), _) => cells_of_size(view_box, size),
-                    (None, Some(Cells::Grid(cells))) => cells,
-                    // Boxes are chosen once it is known that the view box is one.
-                    (None, Some(Cells::Walls(_))) => [1; 3],
-                    (None, None) => [8, 8, 8],
-                }),
-            },
-            view_box,
-            block_cells: if adaptive || walled.is_some() {
-                sightline_model::USUAL_BLOCK_CELLS
-            } else {
-                self.block_cells
-                    .filter(|_| sampler != Sampler::Cubes)
-                    .unwrap_or_else(|| {
-                        sightline_model::default_block_cells(scene.len(), &sampling, method)
-                    })
-            },
-            sampling,
-            backend: if method == Method::Portals {
-                BackendChoice::None
-            } else {
-                self.backend
-            },
-            seed: self.seed,
-            // At least one millisecond, because 0 stands for no limit.
-            time_budget_ms: self
-                .time_budget
-                .map_or(0, |d| (d.as_millis() as u64).max(1)),
-            method,
-            certificates: self.certificates,
-            viewpoints: None,
-            up: self.places.up(),
-            ambient: None,
+        let cells = CellArgs {
+            args: self,
+            path,
+            scene,
+            view_box: self.places.bounds(scene)?,
         };
-        spec.sampling
-            .check()
-            .map_err(|e| CliError::Usage(e.to_string()))?;
-        let lattice = spec.lattice().map_err(|e| match (self.places.view_box.first(), e) {
-            (None, sightline_viewcells::DivisionError::Box { axis, .. }) => {
-                let along = sightline_viewcells::axis_name(axis);
-                if let Some(mesh) = &self.places.view_mesh {
-                    return CliError::Input(format!(
-                        "{}: the places of viewpoints are flat along {along}, so they are no view box; give \
-                         --view-box, and for a navigation mesh --eye-heights LO,HI with LO < HI and --up",
-                        mesh.display()
-                    ));
-                }
-                let nothing = scene.triangles().iter().all(sightline_scene::Triangle::is_degenerate);
-                CliError::Input(format!(
-                    "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < x1, \
-                     y0 < y1 and z0 < z1",
-                    path.display(),
-                    if nothing {
-                        "none of its triangles has an area".to_owned()
-                    } else {
-                        format!("the scene is flat along {along}")
-                    }
-                ))
-            }
-            (_, e) => CliError::Usage(e.to_string()),
-        })?;
-        // Proofs are about whole cells, and visibility cubes are at the lattice's points.
-        let walls = !self.certificates && sampler != Sampler::Cubes;
-        match walled {
-            Some(most) => {
-                (spec.division, spec.viewpoints) =
-                    self.places.along_walls(scene, view_box, most)?;
-            }
-            None => {
-                spec.viewpoints =
-                    self.places
-                        .marks(path, scene, (&spec.division, &lattice), walls)?
-            }
-        }
-        spec.check().map_err(|e| CliError::Usage(e.to_string()))?;
-        let moved = spec
-            .moved_by_rounding()
-            .map_err(|e| CliError::Usage(e.to_string()))?;
-        if moved > MUCH_MOVED {
+        let sampling = || -> Result<Sampling, CliError> {
+            Ok(Sampling {
+                sampler: self.made_sampler(&numbers, &cells)?,
+                tracer: tracer.unwrap_or_default(),
+                contributions: self.contributions,
+            })
+        };
+        let exact = |effort| -> Result<Method, CliError> {
+            Ok(Method::Exact {
+                sampling: sampling()?,
+                effort,
+                certificates: self.certificates,
+            })
+        };
+        let method = match self.method {
+            MethodName::Aggressive => Method::Aggressive {
+                sampling: sampling()?,
+                items: self.granularity,
+            },
+            MethodName::Exact => exact(Effort::Full)?,
+            MethodName::Verified => exact(Effort::Bounded)?,
+            MethodName::Portals => Method::Portals {
+                cells: cells.known(numbers.tile_cells.unwrap_or(TileCells::PORTALS))?,
+                time: numbers.time,
+            },
+        };
+        let task = Visibility {
+            method,
+            far: numbers.far,
+            pairs: self.cell_to_cell,
+            seed: self.seed,
+            up: self.places.up(),
+        };
+        let displacement = task.rounding_displacement().map_err(|e| usage(&e))?;
+        let spec = JobSpec {
+            scene: scene.digest().0,
+            task: Task::Visibility(task),
+        };
+        spec.check().map_err(|e| usage(&e))?;
+        spec.fits(&facts(scene)).map_err(|e| usage(&e))?;
+        if displacement > MUCH_MOVED {
             say(&format!(
                 "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
                  thinnest view cell. A line counts only if it crosses at least as much of a cell, so more is \
                  missed than --target-error says. Wider cells or smaller coordinates avoid this",
-                100.0 * moved
+                100.0 * displacement
             ));
         }
         // Views from above need such a box; more often it is a mistake about units or axes.
@@ -359,119 +465,162 @@ impl JobArgs {
         Ok(spec)
     }
 
-    /// The most boxes along walls, if these are the cells.
-    fn walled(&self, sampler: Sampler) -> Result<Option<usize>, CliError> {
-        let Some(Cells::Walls(most)) = self.cells else {
-            return Ok(None);
+    /// Makes the sampler with its cells.
+    fn made_sampler(&self, numbers: &Numbers, cells: &CellArgs<'_>) -> Result<Sampler, CliError> {
+        let exact = match self.method {
+            MethodName::Exact | MethodName::Verified => Some(TileCells::EXACT),
+            MethodName::Aggressive | MethodName::Portals => None,
         };
-        let given = [
-            ("--sampler cubes", sampler == Sampler::Cubes),
-            ("--certificates", self.certificates),
-            ("--cell-to-cell on", self.cell_to_cell == CellToCell::On),
-            ("--block-cells", self.block_cells.is_some()),
-        ];
-        let given: Vec<&str> = given
-            .iter()
-            .filter_map(|(flag, given)| given.then_some(*flag))
-            .collect();
-        if given.is_empty() {
-            return Ok(Some(most));
+        let tile = |usual: TileCells| numbers.tile_cells.unwrap_or(exact.unwrap_or(usual));
+        Ok(match (self.sampler(), self.triangle_budget) {
+            (SamplerName::Lines, Some(budget)) => Sampler::Lines {
+                aim: LineAim::Adaptive {
+                    cells: cells.adaptive(budget)?,
+                    error: numbers.target_error,
+                },
+                time: numbers.time,
+            },
+            (SamplerName::Lines, None) => {
+                let (error, bound) = (numbers.target_error, numbers.max_error);
+                let stop = match (bound, numbers.min_share) {
+                    (Some(most), _) => Stop::Bound(most),
+                    (None, Some(share)) => Stop::Share(share),
+                    (None, None) => Stop::Expected,
+                };
+                let usual = TileCells::of_lines(cells.scene.len(), error, bound);
+                let cells = cells.known(tile(usual))?;
+                Sampler::Lines {
+                    aim: LineAim::Known { cells, error, stop },
+                    time: numbers.time,
+                }
+            }
+            (SamplerName::Guided, _) => Sampler::Guided {
+                cells: cells.known(tile(TileCells::default()))?,
+                rays: numbers.rays,
+                time: numbers.time,
+            },
+            (SamplerName::Cubes, budget) => Sampler::Cubes {
+                cells: match budget {
+                    Some(budget) => CubeCells::Adaptive(cells.adaptive(budget)?),
+                    None => CubeCells::Grid(cells.of_cubes()?),
+                },
+                params: numbers.cubes,
+            },
+        })
+    }
+}
+
+/// The facts of a scene that a job depends on.
+fn facts(scene: &Scene) -> SceneFacts {
+    SceneFacts {
+        triangles: scene.len(),
+        bounds: Some(scene.bounds()),
+        has_masks: scene.kinds().any_masked(),
+        is_culled: !scene.sides().are_both(),
+    }
+}
+
+/// The making of a job's cells from its options.
+struct CellArgs<'a> {
+    args: &'a JobArgs,
+    path: &'a Path,
+    scene: &'a Arc<Scene>,
+    view_box: Aabb,
+}
+
+impl CellArgs<'_> {
+    /// Makes the cells that are known before the bake.
+    fn known(&self, tile_cells: TileCells) -> Result<KnownCells, CliError> {
+        if let Some(Cells::Walls(most)) = self.args.cells {
+            let boxes = self
+                .args
+                .places
+                .along_walls(self.scene, self.view_box, most)?;
+            return Ok(KnownCells::Boxes(boxes));
         }
-        Err(CliError::Usage(format!(
-            "--cells walls:N: boxes along walls are open and of different sizes, and each is a tile of its \
-             own: leave out {}, or give --cells NXxNYxNZ",
-            given.join(", ")
-        )))
+        let usage = |e: SpecError| CliError::Usage(e.to_string());
+        let grid = GridCells::new(self.view_box, self.sides()).map_err(|e| self.of_division(e))?;
+        let grid = grid.with_tile_cells(tile_cells).map_err(usage)?;
+        // Proofs are about whole cells.
+        let walls = !self.args.certificates;
+        let viewpoints = self.viewpoints((grid.sides(), grid.cells().lattice()), walls)?;
+        grid.with_viewpoints(viewpoints)
+            .map(KnownCells::Grid)
+            .map_err(usage)
     }
 
-    /// Refuses what the method portals does not do.
-    fn check_portals(&self) -> Result<(), CliError> {
-        let given = [
-            ("--triangle-budget", self.triangle_budget.is_some()),
-            ("--sampler", self.sampler.is_some()),
-            ("--target-error", self.target_error.is_some()),
-            ("--max-error", self.max_error.is_some()),
-            ("--min-share", self.min_share.is_some()),
-            ("--rays", self.rays.is_some()),
-            ("--contributions", self.contributions),
-            ("--certificates", self.certificates),
-            ("--cell-to-cell on", self.cell_to_cell == CellToCell::On),
-            (
-                "--backend",
-                !matches!(self.backend, BackendChoice::Auto | BackendChoice::None),
-            ),
-        ];
-        let given: Vec<&str> = given
-            .iter()
-            .filter_map(|(flag, given)| given.then_some(*flag))
-            .collect();
-        if given.is_empty() {
-            return Ok(());
+    /// Makes the grid of visibility cubes, which are at the lattice's points and know no region.
+    fn of_cubes(&self) -> Result<CubeGrid, CliError> {
+        let grid = CubeGrid::new(self.view_box, self.sides()).map_err(|e| self.of_division(e))?;
+        match self
+            .viewpoints((grid.sides(), grid.cells().lattice()), false)?
+            .mask()
+        {
+            Some(mask) => {
+                let marked = grid.with_mask(Arc::clone(mask));
+                marked.map_err(|e| CliError::Usage(e.to_string()))
+            }
+            None => Ok(grid),
         }
-        Err(CliError::Usage(format!(
-            "--method portals samples nothing, keeps no proofs and needs a grid of cells: leave out {}, or \
-             give another method",
-            given.join(", ")
-        )))
     }
 
-    /// The parameters of `sampler`. A note names given flags of other samplers; they are left out, because a
-    /// parameter without effect would still change the job's key.
-    fn sampling(&self, sampler: Sampler) -> Result<SamplingParams, CliError> {
-        let mut params = SamplingParams {
-            sampler,
-            granularity: self.granularity,
-            min_share: self.min_share,
-            far: self.far.map(f64::from),
-            cell_to_cell: self.cell_to_cell,
-            contributions: self.contributions,
-            ..SamplingParams::default()
-        };
-        // A value outside its range is refused even if the sampler does not use it.
-        let mut all = SamplingParams {
-            max_error: self.max_error,
-            target_error: self.target_error.unwrap_or(params.target_error),
-            rays: self.rays.unwrap_or(params.rays),
-            ..params.clone()
-        };
-        self.cubes.apply(&mut all);
-        all.check().map_err(|e| CliError::Usage(e.to_string()))?;
-        let mut unused = Vec::new();
-        if sampler == Sampler::Lines {
-            params.max_error = self.max_error;
-            params.target_error = self
-                .target_error
-                .or(self.max_error)
-                .unwrap_or(params.target_error);
-        } else {
-            unused.extend(self.target_error.map(|_| "--target-error"));
-        }
-        match self.rays {
-            Some(rays) if sampler == Sampler::Guided => params.rays = rays,
-            Some(_) => unused.push("--rays"),
-            None => {}
-        }
-        if sampler == Sampler::Cubes {
-            self.cubes.apply(&mut params);
-        } else {
-            unused.extend(self.cubes.given());
-        }
-        if sampler == Sampler::Cubes || self.triangle_budget.is_some() {
-            unused.extend(self.block_cells.map(|_| "--block-cells"));
-        }
-        if !unused.is_empty() {
-            let name = sampler.to_string();
-            let tree = if self.triangle_budget.is_some() {
-                " in an adaptive tree"
-            } else {
-                ""
-            };
-            say(&format!(
-                "note: the sampler {name}{tree} makes no use of {}",
-                unused.join(", ")
+    /// Makes the cells of an adaptive tree.
+    fn adaptive<const DEPTH: u32>(&self, budget: u32) -> Result<Adaptive<DEPTH>, CliError> {
+        if self.args.places.restrict() {
+            return Err(CliError::Usage(
+                "several view boxes, --view-mesh, --viewpoints and --reachable-from need a grid of cells; \
+                 give --cells or --cell-size in place of --triangle-budget"
+                    .to_owned(),
             ));
         }
-        Ok(params)
+        let budget = TriangleBudget::new(budget).map_err(|e| CliError::Usage(e.to_string()))?;
+        let tree = Adaptive::new(self.view_box, budget, self.args.max_depth);
+        tree.map_err(|e| match e {
+            SpecError::Division(e) => self.of_division(e),
+            e => CliError::Usage(e.to_string()),
+        })
+    }
+
+    /// Returns the number of cells of the grid along each axis.
+    fn sides(&self) -> [u32; 3] {
+        match (self.args.cell_size, self.args.cells) {
+            (Some(size), _) => cells_of_size(self.view_box, size),
+            (None, Some(Cells::Grid(cells))) => cells,
+            (None, Some(Cells::Walls(_)) | None) => USUAL_GRID,
+        }
+    }
+
+    fn viewpoints(&self, grid: ([u32; 3], &Lattice), walls: bool) -> Result<Viewpoints, CliError> {
+        self.args
+            .places
+            .viewpoints(self.path, self.scene, grid, walls)
+    }
+
+    /// Explains why a view box cannot be divided. One that nobody has given is at fault for the scene's sake.
+    fn of_division(&self, e: DivisionError) -> CliError {
+        let (DivisionError::Box { axis, .. }, None) = (&e, self.args.places.view_box.first())
+        else {
+            return CliError::Usage(e.to_string());
+        };
+        let along = axis_name(*axis);
+        if let Some(mesh) = &self.args.places.view_mesh {
+            return CliError::Input(format!(
+                "{}: the places of viewpoints are flat along {along}, so they are no view box; give \
+                 --view-box, and for a navigation mesh --eye-heights LO,HI with LO < HI and --up",
+                mesh.display()
+            ));
+        }
+        let nothing = self.scene.triangles().iter().all(Triangle::is_degenerate);
+        CliError::Input(format!(
+            "{}: {}, so its bounds are no view box; give --view-box x0,y0,z0,x1,y1,z1 with x0 < x1, y0 < y1 \
+             and z0 < z1",
+            self.path.display(),
+            if nothing {
+                "none of its triangles has an area".to_owned()
+            } else {
+                format!("the scene is flat along {along}")
+            }
+        ))
     }
 }
 

@@ -123,7 +123,7 @@ pub fn measured_in(
     };
     // A result whose lines end at a distance is judged up to that distance.
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    let far = info["sampling"]["far"].as_f64();
+    let far = info["spec"]["visibility"]["far"].as_f64();
     if args.exact {
         return exactly(args, pvs, &scene, &views, far, progress);
     }
@@ -139,9 +139,13 @@ pub fn measured_in(
         layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let options = Options {
         images_dir: args.images.clone(),
-        turntable: args
-            .turntable
-            .then(|| if info["up"] == "z" { 2 } else { 1 }),
+        turntable: args.turntable.then(|| {
+            if info["spec"]["visibility"]["up"] == "z" {
+                2
+            } else {
+                1
+            }
+        }),
         images: WORST,
         worst: WORST,
     };

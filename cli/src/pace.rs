@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use sightline_model::job::message::time_budget_ms;
 use sightline_proto::v1;
 
 /// The cells of a tile do not take the same time: the first take long, and most end together. Of few tiles
@@ -90,7 +91,8 @@ impl Pace {
             let budget = job
                 .spec
                 .as_ref()
-                .map_or(0.0, |s| s.time_budget_ms() as f64 * 1e-3);
+                .and_then(time_budget_ms)
+                .map_or(0.0, |budget| budget as f64 * 1e-3);
             match seconds / here as f64 * left as f64 {
                 _ if budget > 0.0 && seconds >= budget => Left::Finishing,
                 left if budget > 0.0 => Left::Seconds(left.min(budget - seconds)),

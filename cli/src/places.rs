@@ -4,16 +4,14 @@ use std::io::BufReader;
 use std::path::Path;
 use std::sync::Arc;
 
-use sightline_model::{BackendChoice, Up};
+use sightline_model::{BoxCells, TracerChoice, Up, Viewpoints};
 use sightline_portals::{Reached, along_walls};
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_viewcells::{Division, Lattice, Layout, Plan, Region};
+use sightline_viewcells::{Division, Lattice, Layout, PartMask, Plan, Region};
 use sightline_viewpoints::reach::Tracing;
-use sightline_viewpoints::{
-    Parts, Viewpoints, ViewpointsError, both, boxes, mark_where, mesh, points, reach,
-};
+use sightline_viewpoints::{Parts, ViewpointsError, both, boxes, mark_where, mesh, points, reach};
 
 use crate::backends::open_backend;
 use crate::enclosure::Walls;
@@ -52,7 +50,7 @@ impl PlaceArgs {
     }
 
     /// Whether the flags leave out a part of the view box.
-    fn restrict(&self) -> bool {
+    pub fn restrict(&self) -> bool {
         self.view_box.len() > 1
             || self.view_mesh.is_some()
             || self.viewpoints.is_some()
@@ -65,7 +63,7 @@ impl PlaceArgs {
         scene: &Arc<Scene>,
         view_box: Aabb,
         most: usize,
-    ) -> Result<(Division, Option<Arc<Viewpoints>>), CliError> {
+    ) -> Result<BoxCells, CliError> {
         if self.view_box.len() > 1 || self.view_mesh.is_some() || self.viewpoints.is_some() {
             return Err(CliError::Usage(
                 "several view boxes, --view-mesh and --viewpoints need a grid of cells: give --cells \
@@ -108,20 +106,18 @@ impl PlaceArgs {
         let is_used = |of: Aabb| reached.as_ref().is_none_or(|reached| reached.meets(of));
         let tree = along_walls(scene, view_box, most, &is_used);
         let boxes = tree.boxes();
-        let division = Division::Tree(Arc::new(tree));
-        let usage = |e: sightline_viewcells::DivisionError| CliError::Usage(e.to_string());
-        let lattice = division
-            .lattice(view_box.min, view_box.max)
-            .map_err(usage)?;
+        let usage = |e: &dyn std::fmt::Display| CliError::Usage(e.to_string());
+        let cells = BoxCells::new(view_box, Arc::new(tree)).map_err(|e| usage(&e))?;
         let Some(region) = region else {
             say(&format!("{} along walls", plural_boxes(boxes)));
-            return Ok((division, None));
+            return Ok(cells);
         };
-        let mut marks = Viewpoints::none([boxes as u32, 1, 1]);
-        for tile in Plan::new(&division, &lattice, Layout::Blocks(1)).tiles {
-            let (min, max) = tile.cell.world(&lattice);
+        let mut marks = PartMask::empty([boxes as u32, 1, 1]);
+        let (division, lattice) = (cells.cells().division(), cells.cells().lattice());
+        for tile in Plan::new(division, lattice, Layout::Blocks(1)).tiles {
+            let (min, max) = tile.cell.world(lattice);
             if let Some(number) = division
-                .number(&lattice, &tile.cell)
+                .number(lattice, &tile.cell)
                 .filter(|_| is_used(Aabb::new(min, max)))
             {
                 marks.mark_all(number);
@@ -138,32 +134,27 @@ impl PlaceArgs {
             plural_boxes(boxes),
             marks.reached()
         ));
-        Ok((division, Some(Arc::new(marks.within(Some(region))))))
+        cells
+            .with_viewpoints(Viewpoints::new(marks, Some(region)))
+            .map_err(|e| usage(&e))
     }
 
-    /// The parts of the cells that hold viewpoints; `None` for all of them. With `walls`, viewpoints are only
-    /// in the region that walls enclose around the points of --reachable-from, if they do.
-    pub fn marks(
+    /// Finds where in the cells of a grid viewpoints can be. With `walls`, they are only in the region that walls
+    /// enclose around the points of --reachable-from, if they do.
+    pub fn viewpoints(
         &self,
         path: &Path,
         scene: &Arc<Scene>,
-        (division, lattice): (&Division, &Lattice),
+        (cells, lattice): ([u32; 3], &Lattice),
         walls: bool,
-    ) -> Result<Option<Arc<Viewpoints>>, CliError> {
+    ) -> Result<Viewpoints, CliError> {
         if !self.restrict() {
-            return Ok(None);
+            return Ok(Viewpoints::Everywhere);
         }
-        let &Division::Grid(cells) = division else {
-            return Err(CliError::Usage(
-                "several view boxes, --view-mesh, --viewpoints and --reachable-from need a grid of cells; \
-                 give --cells or --cell-size in place of --triangle-budget"
-                    .to_owned(),
-            ));
-        };
         let parts = Parts::new(lattice, cells);
         let mut region = None;
-        let mut all: Option<Viewpoints> = None;
-        let mut restrict = |marks: Viewpoints| {
+        let mut all: Option<PartMask> = None;
+        let mut restrict = |marks: PartMask| {
             all = Some(match all.take() {
                 Some(all) => both(&all, &marks),
                 None => marks,
@@ -184,8 +175,8 @@ impl PlaceArgs {
             traced.into_iter().for_each(&mut restrict);
             region = found;
         }
-        let Some(marks) = all.map(|marks| marks.within(region)) else {
-            return Ok(None);
+        let Some(marks) = all else {
+            return Ok(Viewpoints::Everywhere);
         };
         if marks.reached() == 0 {
             return Err(CliError::Input(format!(
@@ -201,7 +192,7 @@ impl PlaceArgs {
             plural(marks.count(), "cell"),
             100.0 * marks.marked() as f64 / parts as f64
         ));
-        Ok(Some(Arc::new(marks)))
+        Ok(Viewpoints::new(marks, region))
     }
 
     /// The marks that need a tracer, and the region that walls enclose.
@@ -211,7 +202,7 @@ impl PlaceArgs {
         parts: &Parts,
         cells: [u32; 3],
         walls: bool,
-    ) -> Result<(Vec<Viewpoints>, Option<Region>), CliError> {
+    ) -> Result<(Vec<PartMask>, Option<Region>), CliError> {
         self.with_tracer(scene, parts, cells, |tracing| {
             self.traced_with(tracing, scene, (parts, cells), walls)
         })
@@ -230,7 +221,7 @@ impl PlaceArgs {
             strata: Strata::One,
             keep_pixels: false,
         };
-        let (_, backend) = open_backend(BackendChoice::Auto, scene, spec)?;
+        let (_, backend) = open_backend(TracerChoice::Auto, scene, spec)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
         let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
         let step = least_step(scene.bounds());
@@ -249,7 +240,7 @@ impl PlaceArgs {
         scene: &Arc<Scene>,
         (parts, cells): (&Parts, [u32; 3]),
         walls: bool,
-    ) -> Result<(Vec<Viewpoints>, Option<Region>), CliError> {
+    ) -> Result<(Vec<PartMask>, Option<Region>), CliError> {
         let mut out = Vec::new();
         if let Some(file) = &self.viewpoints {
             let read = read_viewpoints(file)?;

@@ -157,11 +157,7 @@ impl Progress {
             Left::Seconds(seconds) => about(seconds),
             Left::NotKnown => "time left not known yet".to_owned(),
         };
-        let samples = if job
-            .spec
-            .as_ref()
-            .is_some_and(|s| s.method() != v1::Method::Aggressive)
-        {
+        let samples = if job.spec.as_ref().is_some_and(is_decided) {
             // Rays come first and queries later; one rate for both would mean nothing.
             format!("{} rays and queries", job.samples)
         } else {
@@ -253,9 +249,21 @@ pub fn counted(job: &v1::Job) -> &'static str {
     }
 }
 
+/// Returns true if exact queries or portals decide about triangles.
+fn is_decided(spec: &v1::JobSpec) -> bool {
+    use v1::visibility::Method;
+    match &spec.task {
+        Some(v1::job_spec::Task::Visibility(task)) => {
+            matches!(task.method, Some(Method::Exact(_) | Method::Portals(_)))
+        }
+        Some(v1::job_spec::Task::Ambient(_)) | None => false,
+    }
+}
+
 /// Whether a job computes ambient occlusion at receivers.
 pub fn has_receivers(job: &v1::Job) -> bool {
-    job.spec.as_ref().is_some_and(|spec| spec.ambient.is_some())
+    let task = job.spec.as_ref().and_then(|spec| spec.task.as_ref());
+    matches!(task, Some(v1::job_spec::Task::Ambient(_)))
 }
 
 const TEMPLATE: &str = "{elapsed_precise} [{bar:24}] {pos}/{len} {msg}";

@@ -142,7 +142,7 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, CliError> {
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
     say_other(info["profile"].as_str().unwrap_or_default(), &profile);
-    let far = info["sampling"]["far"].as_f64();
+    let far = info["spec"]["visibility"]["far"].as_f64();
     let renderer =
         layers::renderer(&*backend, &prepared, spec, None, far).map_err(CliError::internal)?;
     let folder = tempfile::tempdir().map_err(CliError::internal)?;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use sightline_model::{BackendChoice, Up};
+use sightline_model::{TracerChoice, Up};
 
 use crate::choices::choice;
 use crate::kind_args::KindArgs;
@@ -108,8 +108,8 @@ pub struct ReportArgs {
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// Backend that renders the frames and traces the segments.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
-    pub backend: BackendChoice,
+    #[arg(long, value_parser = choice::<TracerChoice>(), default_value_t, hide_possible_values = true)]
+    pub backend: TracerChoice,
 }
 
 #[derive(Args, Debug)]

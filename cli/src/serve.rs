@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use sightline_coordinator::{ConnectionLimits, Connections, Listener, Probed};
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 use sightline_sampling::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, Moved, Pulse, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
@@ -23,13 +23,6 @@ pub fn worker(args: &WorkerArgs) -> Result<(), CliError> {
         .adapter
         .clone()
         .map_or(AdapterChoice::AllowSoftware, AdapterChoice::Named);
-    if args.backend == BackendChoice::None {
-        return Err(CliError::Usage(
-            "a worker without a backend can only take jobs of the method portals and of ambient occlusion, \
-             and a worker with one can, too; give --backend auto, gpu or cpu"
-                .to_owned(),
-        ));
-    }
     check_adapter(args)?;
     let backends = Arc::new(Backends::probe(choice(args.backend), adapter));
     say_missing(&backends)?;
@@ -160,7 +153,7 @@ fn check_adapter(args: &WorkerArgs) -> Result<(), CliError> {
     let Some(part) = args
         .adapter
         .as_ref()
-        .filter(|_| args.backend != BackendChoice::Cpu)
+        .filter(|_| args.backend != TracerChoice::Cpu)
     else {
         return Ok(());
     };

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 
 use crate::choices::choice;
 use crate::remote_args::RemoteArgs;
@@ -132,8 +132,8 @@ pub struct WorkerArgs {
     #[command(flatten)]
     pub remote: RemoteArgs,
     /// Backends that this worker offers: cpu, gpu, or auto, every backend that works on this machine.
-    #[arg(long, value_parser = choice::<BackendChoice>(), default_value_t, hide_possible_values = true)]
-    pub backend: BackendChoice,
+    #[arg(long, value_parser = choice::<TracerChoice>(), default_value_t, hide_possible_values = true)]
+    pub backend: TracerChoice,
     /// Use the Vulkan adapter whose name contains this text.
     #[arg(long, value_name = "TEXT")]
     pub adapter: Option<String>,

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sightline_model::job::message::time_budget_ms;
 use sightline_proto::v1;
 use sightline_traces::TraceId;
 
@@ -136,13 +137,7 @@ pub fn line(job: &v1::Job) -> String {
         .map(|t| format!("\n  {}", team_line(t)))
         .collect();
     // Workers without a tile have nothing to do then, by design.
-    let alone = job.spec.as_ref().is_some_and(|s| {
-        let cubes = s
-            .sampling
-            .as_ref()
-            .is_some_and(|s| s.sampler() == v1::Sampler::Cubes);
-        s.time_budget_ms() > 0 || cubes || s.ambient.is_some()
-    });
+    let alone = job.spec.as_ref().is_some_and(has_single_workers);
     let alone = if alone && !job.teams.is_empty() {
         "\n  its tiles have one worker each: time budgets, cubes and receivers are not shared"
     } else {
@@ -223,6 +218,23 @@ pub fn value(job: &v1::Job) -> serde_json::Value {
         "teams": job.teams.iter().map(team).collect::<Vec<_>>(),
         "trace": (!job.trace.is_empty()).then(|| hex(&job.trace)),
     })
+}
+
+/// Returns true if workers do not share a tile of the job.
+fn has_single_workers(spec: &v1::JobSpec) -> bool {
+    use v1::{job_spec::Task, sampling::Sampler, visibility::Method};
+    let task = match &spec.task {
+        Some(Task::Visibility(task)) => task,
+        Some(Task::Ambient(_)) => return true,
+        None => return false,
+    };
+    let sampling = match &task.method {
+        Some(Method::Aggressive(method)) => method.sampling.as_ref(),
+        Some(Method::Exact(method)) => method.sampling.as_ref(),
+        Some(Method::Portals(_)) | None => None,
+    };
+    let sampler = sampling.and_then(|sampling| sampling.sampler.as_ref());
+    matches!(sampler, Some(Sampler::Cubes(_))) || time_budget_ms(spec).is_some()
 }
 
 #[cfg(test)]

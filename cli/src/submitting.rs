@@ -73,7 +73,7 @@ pub fn prepare(
             .clone()
             .unwrap_or_else(client::fresh_request_id),
         name: short(&args.name.clone().unwrap_or_else(file_name)),
-        spec: Some(spec.to_proto()),
+        spec: Some(spec.to_message()),
         priority: args.priority,
         user: short(&args.user.clone().unwrap_or_else(login_name)),
     };

@@ -8,7 +8,7 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::checker::Kinds;
 use sightline_certificate::{Report, Sample, VerifyError, VerifyOptions, verify};
-use sightline_model::{Choice as _, Method};
+use sightline_model::{MethodName, NamedValue as _};
 use sightline_pvs::Pvs;
 
 use crate::args::VerifyArgs;
@@ -65,7 +65,7 @@ pub fn verified(
             args.result.display()
         )));
     }
-    if pvs.method() == Method::Portals.name() {
+    if pvs.method() == MethodName::Portals.name() {
         let Some(wanted) = args.sample else {
             return Err(CliError::Input(format!(
                 "{} has no certificates: portals prove what they hide while they look. --sample N asks exact \

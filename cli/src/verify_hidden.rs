@@ -31,7 +31,7 @@ pub fn check(
     hooks: &Hooks<'_>,
 ) -> Result<Verdict, CliError> {
     let info: serde_json::Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
-    if info["sampling"]["far"].is_number() {
+    if info["spec"]["visibility"]["far"].is_number() {
         return Err(CliError::Input(format!(
             "{} leaves out what is beyond --far, which is not hidden; verify a result without --far",
             args.result.display()

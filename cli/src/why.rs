@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_measure::Portrait;
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 use sightline_pvs::Pvs;
 use sightline_sampling::sight::{Sight, least_step};
 use sightline_sampling::{CubeSpec, PreparedScene, Strata};
@@ -334,7 +334,7 @@ fn draw(
         strata: Strata::One,
         keep_pixels: false,
     };
-    let (_, backend) = open_backend(BackendChoice::Auto, &scene, spec)?;
+    let (_, backend) = open_backend(TracerChoice::Auto, &scene, spec)?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
     let sight = Sight::new(&*backend, prepared.traced()).map_err(CliError::internal)?;
@@ -343,7 +343,11 @@ fn draw(
         target,
         blockers: &blockers,
         seen_at: end(1),
-        vertical: if info["up"] == "z" { Vec3::Z } else { Vec3::Y },
+        vertical: if info["spec"]["visibility"]["up"] == "z" {
+            Vec3::Z
+        } else {
+            Vec3::Y
+        },
     };
     let picture = portrait
         .draw(&scene, &sight, step)

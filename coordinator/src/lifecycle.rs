@@ -204,8 +204,8 @@ impl Coordinator {
                 {
                     return Err(e.into());
                 }
-                let spec = stored_spec::whole(&*blobs, &record.spec);
-                match spec.and_then(|spec| Job::of(record, &spec, tiles)) {
+                let work = stored_spec::whole(&*blobs, &record.spec);
+                match work.and_then(|work| Job::new(record, Arc::new(work), tiles)) {
                     Ok(job) => jobs.push(if runs { job.after_restart() } else { job }),
                     Err(reason) => {
                         // The job ends, so that submitting it again begins a new one.

@@ -8,6 +8,7 @@ use numpy::{
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use sightline_model::job::json::find_field;
 use sightline_pvs::PvsError;
 
 use crate::errors::of_pvs;
@@ -131,8 +132,9 @@ impl Pvs {
     #[getter]
     fn grid(&self) -> Option<(u32, u32, u32)> {
         let info: serde_json::Value = serde_json::from_str(self.0.info_json()).ok()?;
-        let along = |axis: usize| u32::try_from(info["division"]["grid"][axis].as_u64()?).ok();
-        Some((along(0)?, along(1)?, along(2)?))
+        let grid = find_field(&info["spec"], "grid")?;
+        let along = |axis: &str| u32::try_from(grid[axis].as_u64()?).ok();
+        Some((along("x")?, along("y")?, along("z")?))
     }
 
     /// The box of all viewpoints: its least and its greatest corner.

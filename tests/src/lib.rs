@@ -21,6 +21,7 @@ mod process;
 mod program;
 mod python;
 mod site;
+pub mod spec;
 mod strace;
 
 use std::time::{Duration, Instant};

@@ -438,7 +438,19 @@ fn a_digest_alone_opens_no_scene() {
     // An estimate tells nothing of what others have, whatever box it names.
     let mut boxed = request.clone();
     if let Some(spec) = &mut boxed.spec {
-        spec.view_box = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+        let grid = v1::GridCells {
+            view_box: vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+            ..v1::GridCells::default()
+        };
+        let portals = v1::Portals {
+            cells: Some(v1::portals::Cells::Grid(grid)),
+            ..v1::Portals::default()
+        };
+        let task = v1::Visibility {
+            method: Some(v1::visibility::Method::Portals(portals)),
+            ..v1::Visibility::default()
+        };
+        spec.task = Some(v1::job_spec::Task::Visibility(task));
     }
     let estimate = runtime.block_on(bob.estimate(boxed)).unwrap().into_inner();
     assert!(estimate.existing.is_none() && estimate.cost.is_none());

@@ -42,7 +42,11 @@ fn calls_are_json_and_foreign_pages_may_not_call() {
         call(pages, "Jobs/Pause", &of_job).1["state"],
         "JOB_STATE_PAUSED"
     );
-    assert_eq!(call(pages, "Jobs/Show", &of_job).1["spec"]["grid"]["z"], 2);
+    assert_eq!(
+        call(pages, "Jobs/Show", &of_job).1["spec"]["visibility"]["aggressive"]["sampling"]["lines"]
+            ["grid"]["z"],
+        2
+    );
     let tiles = call(pages, "Farm/ListTiles", &of_job).1;
     assert_eq!(
         (tiles["total"].as_u64(), &tiles["tiles"][0]["state"]),

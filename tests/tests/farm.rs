@@ -113,7 +113,8 @@ fn workers_tiles_and_events_tell_what_happened() {
     assert_eq!(rest.len(), numbers.iter().filter(|n| **n > half).count());
     // The spec is shown as the interface names it, and jobs have ages.
     assert_eq!(
-        coordinator.json(&format!("show {job}"))["spec"]["grid"]["x"],
+        coordinator.json(&format!("show {job}"))["spec"]["visibility"]["aggressive"]["sampling"]["lines"]
+            ["grid"]["x"],
         8
     );
     assert!(coordinator.ok("jobs").contains("ended "));

@@ -364,7 +364,10 @@ fn boxes_meshes_and_points_say_where_viewpoints_are() {
         .iter()
         .all(|c| !c.reached || c.min[1] >= 1.0);
     assert!(upper, "eyes are above the middle");
-    assert_eq!(sandbox.json("info walk.pvs")["info"]["up"], "y");
+    assert_eq!(
+        sandbox.json("info walk.pvs")["info"]["spec"]["visibility"]["up"],
+        "y"
+    );
     // Telemetry: one place often, one rarely, one never.
     sandbox.write("eyes.txt", "0.5 0.5 0.5 9\n2.5 0.5 0.5 1\n6.5 0.5 0.5 0\n");
     let points = bake("points", &format!("{CELLS} --viewpoints eyes.txt"));

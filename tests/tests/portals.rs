@@ -162,8 +162,8 @@ fn boxes_along_walls_are_the_same_everywhere_and_can_be_looked_at() {
     );
     let dump = sandbox.dump("alone.pvs");
     assert_eq!(
-        dump.header["info"]["division"],
-        json!({"tree": {"boxes": 30}})
+        dump.header["info"]["spec"]["visibility"]["exact"]["sampling"]["lines"]["boxes"]["count"],
+        30
     );
     assert_eq!(dump.cells.len(), 30);
     // The sets are exact, and look-ups have the portals.

@@ -169,11 +169,9 @@ fn smallest_thresholds_reach_result() {
         sandbox.json("info cubes.pvs")["info"].clone()
     };
     let info = bake("--error-threshold 0 --interior-threshold 0");
+    let cubes = &info["spec"]["visibility"]["aggressive"]["sampling"]["cubes"];
     assert_eq!(
-        (
-            &info["sampling"]["error_threshold"],
-            &info["sampling"]["interior_threshold"]
-        ),
+        (&cubes["error_threshold"], &cubes["interior_threshold"]),
         (&0.0.into(), &0.0.into())
     );
     // Every face of the cell is split into 4x4 squares, whose corners are cubes. Faces are separate tiles.

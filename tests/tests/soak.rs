@@ -23,7 +23,7 @@ use std::time::{Duration, Instant};
 
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
-use sightline_tests::Sandbox;
+use sightline_tests::{Sandbox, spec};
 use tokio_stream::StreamExt as _;
 use tonic::transport::Channel;
 
@@ -109,10 +109,8 @@ async fn client(url: String, own: u64, spec: v1::JobSpec, seen: Arc<Seen>, until
         if Instant::now() > until {
             return;
         }
-        let spec = v1::JobSpec {
-            seed: Some(1 + own + round * CLIENTS),
-            ..spec.clone()
-        };
+        let mut spec = spec.clone();
+        spec::task(&mut spec).seed = Some(1 + own + round * CLIENTS);
         let name = format!("client {own}, round {round}");
         let submit = v1::SubmitRequest {
             spec: Some(spec),

@@ -7,7 +7,7 @@ use sightline_proto::chunks::cut;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_tests::{Coordinator, Sandbox, assert_same};
+use sightline_tests::{Coordinator, Sandbox, assert_same, spec};
 use tokio_stream::StreamExt as _;
 use tonic::transport::Channel;
 use tonic::{Code, Status};
@@ -223,7 +223,7 @@ async fn requests_are_refused_with_the_right_code() {
         Code::InvalidArgument,
     );
     refused(
-        submit("good", &|s| s.seed = Some(1)).await,
+        submit("good", &|s| spec::task(s).seed = Some(1)).await,
         Code::InvalidArgument,
     );
     refused(
@@ -235,27 +235,20 @@ async fn requests_are_refused_with_the_right_code() {
         Code::InvalidArgument,
     );
     refused(
-        submit("d", &|s| s.view_box.truncate(5)).await,
+        submit("d", &|s| spec::cube_grid(s).view_box.truncate(5)).await,
         Code::InvalidArgument,
     );
     refused(
-        submit("e", &|s| s.view_box[3] = f32::NAN).await,
+        submit("e", &|s| spec::cube_grid(s).view_box[3] = f32::NAN).await,
         Code::InvalidArgument,
     );
     refused(
-        submit("g", &|s| s.sampling.as_mut().unwrap().resolution = Some(1)).await,
+        submit("g", &|s| spec::cubes(s).resolution = Some(1)).await,
         Code::InvalidArgument,
     );
-    let grid = |n| {
-        Some(v1::job_spec::Division::Grid(v1::Grid {
-            x: Some(n),
-            y: Some(n),
-            z: Some(n),
-        }))
-    };
-    for n in [0, 1 << 14, u32::MAX] {
+    for n in [0, 1 << 20, u32::MAX] {
         refused(
-            submit("h", &|s| s.division = grid(n)).await,
+            submit("h", &|s| spec::cube_grid(s).x = Some(n)).await,
             Code::InvalidArgument,
         );
     }
@@ -278,11 +271,16 @@ async fn requests_are_refused_with_the_right_code() {
         .unwrap();
     assert_ne!(culled.scene, spec.scene);
     let exact = |s: &mut v1::JobSpec| {
-        (s.scene, s.method) = (culled.scene.clone(), Some(v1::Method::Exact as i32));
+        s.scene.clone_from(&culled.scene);
+        let sampling = Some(spec::sampling(s).clone());
+        spec::task(s).method = Some(v1::visibility::Method::Exact(v1::Exact {
+            sampling,
+            ..v1::Exact::default()
+        }));
     };
-    assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("culled"));
+    assert!(refused(submit("k", &exact).await, Code::InvalidArgument).contains("both sides"));
     // An empty view box stands for the scene's bounds, as on the command line.
-    let answer = submit("j", &|s| s.view_box.clear())
+    let answer = submit("j", &|s| spec::cube_grid(s).view_box.clear())
         .await
         .unwrap()
         .into_inner();
@@ -508,10 +506,10 @@ async fn a_second_result_for_a_tile_is_kept_out() {
             other => panic!("{other:?}"),
         }
     };
-    let (_, plan) = sightline_model::JobSpec::from_proto(grant.spec.as_ref().unwrap(), None)
-        .unwrap()
-        .plan()
-        .unwrap();
+    let facts = sightline_model::SceneFacts::default();
+    let planned = sightline_model::JobSpec::from_message(grant.spec.as_ref().unwrap(), &facts);
+    let planned = sightline_model::PlannedJob::stored(planned.unwrap());
+    let plan = planned.plan();
     let lease = grant.lease.unwrap();
     let needs = &plan.tiles[lease.tile as usize].needs;
     let known = |tile: &u32| olds.iter().find(|old| old.tile == *tile).copied();

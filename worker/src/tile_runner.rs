@@ -3,9 +3,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use sightline_bake::{Alone, BakeError, Control, Crew, PackBytes, Watcher as _};
-use sightline_bake::{run_ambient_tile, run_portal_tile, run_tile};
-use sightline_model::{JobSpec, Method, Sampler};
+use sightline_bake::{Alone, BakeError, Control, Crew, Inputs, PackBytes, Watcher as _};
+use sightline_model::receivers::Receivers;
+use sightline_model::{GridCells, JobSpec, PlannedJob, Sampler, SceneFacts, Visibility};
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
@@ -45,10 +45,28 @@ fn failure(e: BakeError, lost: impl FnOnce()) -> Failure {
 
 /// What is run: a tile's inputs beside its scene and packs.
 struct Work<'a> {
-    spec: &'a JobSpec,
+    job: &'a PlannedJob,
     profile: &'a str,
+    receivers: Option<&'a Receivers>,
     deadline: Option<Instant>,
     crew: &'a dyn Crew,
+}
+
+/// Returns true if a crew can share a tile of the job: lines and the queries of portals are shared, cubes and
+/// receivers are not.
+fn is_shared(job: &PlannedJob) -> bool {
+    let is_cubes = |task: &Visibility| {
+        let sampling = task.sampling();
+        sampling.is_some_and(|sampling| matches!(sampling.sampler, Sampler::Cubes { .. }))
+    };
+    job.visibility().is_some_and(|task| !is_cubes(task))
+}
+
+/// Reads and plans the job of an order.
+fn planned(message: Option<&v1::JobSpec>) -> Result<PlannedJob, String> {
+    let message = message.ok_or("the order has no specification")?;
+    let spec = JobSpec::from_message(message, &SceneFacts::default());
+    spec.map(PlannedJob::stored).map_err(|e| e.to_string())
 }
 
 /// State that the tiles of one worker share.
@@ -92,11 +110,8 @@ impl TileRunner {
     ) -> Result<(), Failure> {
         let begun = Begun::now();
         let infrastructure = Failure::Infrastructure;
-        let wire = grant
-            .spec
-            .ok_or_else(|| Failure::Tile("the grant has no specification".to_owned()))?;
-        let spec = JobSpec::from_proto(&wire, None).map_err(|e| Failure::Tile(e.to_string()))?;
-        let loaded = self.scene(spec.scene).await.map_err(infrastructure)?;
+        let job = planned(grant.spec.as_ref()).map_err(Failure::Tile)?;
+        let loaded = self.scene(job.spec().scene).await.map_err(infrastructure)?;
         let mut packs = Vec::with_capacity(grant.packs.len());
         for digest in &grant.packs {
             let digest: [u8; 32] = digest
@@ -106,7 +121,7 @@ impl TileRunner {
             let pack = self.pack(digest).await.map_err(infrastructure)?;
             packs.push(pack.ok_or(digest));
         }
-        let receivers = match &spec.ambient {
+        let receivers = match job.ambient() {
             Some(ambient) => {
                 let triangles = loaded.scene.scene().len();
                 let fetched = self.receivers(ambient.receivers, triangles).await;
@@ -127,9 +142,7 @@ impl TileRunner {
         }
         held.begin();
         // Members of a crew would not stop at the same place.
-        let is_crewed = receivers.is_none()
-            && grant.millis.is_none()
-            && matches!(spec.sampling.sampler, Sampler::Lines | Sampler::Guided);
+        let is_crewed = grant.millis.is_none() && is_shared(&job);
         let leader = match is_crewed {
             true => Some(crew::lead(self.client.clone(), held.lease, held).await),
             false => None,
@@ -143,18 +156,12 @@ impl TileRunner {
                 .map_or(&Alone as &dyn Crew, |leader| leader);
             computing.computing(crew, false, |crew| {
                 let work = Work {
-                    spec: &spec,
+                    job: &job,
                     profile: &grant.profile,
+                    receivers: receivers.as_deref(),
                     deadline,
                     crew,
                 };
-                if let Some(receivers) = receivers {
-                    let tile = watcher.lease.tile;
-                    let done = run_ambient_tile(&spec, tile, &loaded.scene, &receivers, &*watcher);
-                    return done
-                        .map(|done| (done.bytes, done.samples))
-                        .map_err(|e| failure(e, || {}));
-                }
                 shop.run(&work, &loaded, packs, &watcher)
             })
         })
@@ -201,9 +208,8 @@ impl TileRunner {
         steps: &Steps,
     ) -> Result<(), String> {
         let begun = Begun::now();
-        let wire = help.spec.ok_or("the order has no specification")?;
-        let spec = JobSpec::from_proto(&wire, None).map_err(|e| e.to_string())?;
-        let loaded = self.scene(spec.scene).await?;
+        let job = planned(help.spec.as_ref())?;
+        let loaded = self.scene(job.spec().scene).await?;
         steps.step("fetch", begun);
         let _turn = self.running.acquire().await.map_err(|e| e.to_string())?;
         if held.cancelled() {
@@ -220,8 +226,9 @@ impl TileRunner {
         let ended = tokio::task::spawn_blocking(move || {
             computing.computing(&*helper, true, |crew| {
                 let work = Work {
-                    spec: &spec,
+                    job: &job,
                     profile: &help.profile,
+                    receivers: None,
                     deadline: None,
                     crew,
                 };
@@ -244,40 +251,30 @@ impl TileRunner {
         held: &LeasedTile,
     ) -> Result<(Vec<u8>, u64), Failure> {
         let Work {
-            spec,
+            job,
             profile,
+            receivers,
             deadline,
             crew,
         } = *work;
-        let tile = held.lease.tile;
-        if spec.method == Method::Portals {
-            let done = run_portal_tile(
-                spec,
-                tile,
-                &loaded.scene,
-                Control {
-                    watcher: held,
-                    deadline,
-                    crew,
-                },
-            );
-            return done
-                .map(|done| (done.bytes, done.samples))
-                .map_err(|e| failure(e, || {}));
-        }
+        let control = Control {
+            watcher: held,
+            deadline,
+            crew,
+        };
         let owner = self.config.name.as_str();
         if profile.starts_with("cpu/") {
             // The device that was opened to see whether it works is not wanted.
             gpu::close_spare();
         }
-        let backend = loaded
-            .backend(
-                &self.config.backends,
-                profile,
-                CubeSpec::of(&spec.sampling),
-                owner,
-            )
-            .map_err(|e| Failure::Infrastructure(e.to_string()))?;
+        let sampling = job.visibility().and_then(Visibility::sampling);
+        let tracer = sampling.map(|sampling| {
+            let spec = CubeSpec::of(&sampling.sampler);
+            loaded
+                .backend(&self.config.backends, profile, spec, owner)
+                .map_err(|e| Failure::Infrastructure(e.to_string()))
+        });
+        let tracer = tracer.transpose()?;
         let packs: Vec<PackBytes<'_>> = packs
             .iter()
             .map(|pack| match pack {
@@ -285,13 +282,14 @@ impl TileRunner {
                 Err(digest) => PackBytes::Lost(*digest),
             })
             .collect();
-        let control = Control {
-            watcher: held,
-            deadline,
-            crew,
+        let inputs = Inputs {
+            scene: &loaded.scene,
+            tracer: tracer.as_deref(),
+            packs: &packs,
+            receivers,
         };
         // A lost device stays lost; the next tile opens the backend again.
-        let done = run_tile(spec, tile, &loaded.scene, &*backend, &packs, control)
+        let done = sightline_bake::run(job, held.lease.tile, inputs, control)
             .map_err(|e| failure(e, || loaded.forget(profile)))?;
         for (digest, bytes) in done.recomputed {
             self.packs.put(digest, bytes.into());
@@ -301,15 +299,20 @@ impl TileRunner {
 
     /// Times the backends on a job's scene.
     pub async fn time(&self, spec: &v1::JobSpec) -> Result<Vec<v1::ProfileTime>, String> {
-        let spec = JobSpec::from_proto(spec, None).map_err(|e| e.to_string())?;
+        let spec =
+            JobSpec::from_message(spec, &SceneFacts::default()).map_err(|e| e.to_string())?;
+        let needless = || "the job needs no tracer".to_owned();
+        let task = spec.visibility().ok_or_else(needless)?;
+        let sampler = task.sampling().ok_or_else(needless)?.sampler.clone();
         // The boxes of a tree have few points of the lattice.
-        let division = match spec.division {
-            Division::Tree(_) => Division::Grid([1; 3]),
-            ref division => division.clone(),
+        let lattice = match task.division() {
+            Division::Tree(_) => {
+                let whole = GridCells::new(task.view_box(), [1; 3]).map_err(|e| e.to_string())?;
+                whole.cells().lattice().clone()
+            }
+            Division::Grid(_) | Division::Adaptive { .. } => task.lattice().clone(),
         };
-        let lattice = division
-            .lattice(spec.view_box.min, spec.view_box.max)
-            .map_err(|e| e.to_string())?;
+        let has_region = task.viewpoints().region().is_some();
         let loaded = self.scene(spec.scene).await?;
         let config = self.config.clone();
         tokio::task::spawn_blocking(move || {
@@ -319,22 +322,17 @@ impl TileRunner {
                     .backend(
                         &config.backends,
                         &profile,
-                        CubeSpec::of(&spec.sampling),
+                        CubeSpec::of(&sampler),
                         &config.name,
                     )
                     .map_err(TileError::from)
-                    .and_then(|b| match spec.sampling.sampler {
-                        Sampler::Cubes => Ok(auto::time(&*b, &lattice)?),
+                    .and_then(|b| match sampler {
+                        Sampler::Cubes { .. } => Ok(auto::time(&*b, &lattice)?),
                         // A region of viewpoints keeps a device from casting whole rounds.
-                        Sampler::Lines
-                            if spec
-                                .viewpoints
-                                .as_ref()
-                                .is_none_or(|marks| marks.region().is_none()) =>
-                        {
+                        Sampler::Lines { .. } if !has_region => {
                             auto::time_rounds(&*b, loaded.scene.sampling(), &lattice)
                         }
-                        Sampler::Lines | Sampler::Guided => {
+                        Sampler::Lines { .. } | Sampler::Guided { .. } => {
                             let ids = loaded.scene.sampling().traced().distinct;
                             Ok(auto::time_lines(&*b, ids, &lattice)?)
                         }

@@ -1,12 +1,12 @@
 //! Which cells of a result see which: the relations of all tiles, joined and renumbered.
 //!
-//! A tile numbers cells by a regular grid over the view box ([`JobSpec::pair_cells`]); a result numbers them
+//! A tile numbers cells by a regular grid over the view box ([`Visibility::pair_cells`]); a result numbers them
 //! in the order of its tree. A cell of an adaptive tree holds several cells of that grid, or is a part of
 //! one.
 
-use sightline_model::{JobSpec, Method, PairTable, TilePairs};
+use sightline_model::{PairTable, TilePairs, Visibility};
 use sightline_pvs::{CellPairs, MOST_PAIR_CELLS, PvsError, Relation};
-use sightline_viewcells::{CellBox, Lattice};
+use sightline_viewcells::CellBox;
 
 /// The relations of the tiles read so far, and the cells of the result.
 pub(crate) struct PairJoin {
@@ -22,14 +22,14 @@ pub(crate) struct PairJoin {
 
 impl PairJoin {
     /// Begins; `None` when the job does not ask for pairs, or has more cells than can have them.
-    pub(crate) fn new(spec: &JobSpec, lattice: &Lattice, cells: u32) -> Option<Self> {
-        let sides = spec.pair_cells().filter(|_| cells <= MOST_PAIR_CELLS)?;
+    pub(crate) fn new(task: &Visibility, cells: u32) -> Option<Self> {
+        let sides = task.pair_cells().filter(|_| cells <= MOST_PAIR_CELLS)?;
         let count = sides.iter().product();
         Some(Self {
             sides,
-            units: lattice.units(),
+            units: task.lattice().units(),
             seen: PairTable::empty(count),
-            hidden: (spec.method != Method::Aggressive).then(|| PairTable::empty(count)),
+            hidden: task.is_decided().then(|| PairTable::empty(count)),
             cells: Vec::new(),
             states: Vec::new(),
         })

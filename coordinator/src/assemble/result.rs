@@ -7,8 +7,9 @@ use std::io::{BufWriter, Write};
 use std::sync::Arc;
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{ALGORITHM_VERSION, Granularity, JobSpec};
-use sightline_model::{CellSet, CellSets, TileOutput};
+use sightline_model::{
+    ALGORITHM_VERSION, CellSet, CellSets, Granularity, PlannedJob, Task, TileOutput, Visibility,
+};
 use sightline_pvs::{
     Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Node, Object, PvsError,
     SET_ASIDE, Source,
@@ -19,7 +20,7 @@ use crate::assemble::columns::Statistics;
 use crate::assemble::openness::{self, AnswerError};
 use crate::assemble::pairs::PairJoin;
 use crate::ids::{Digest, TileIndex};
-use crate::scheduler::{Output, Work};
+use crate::scheduler::Output;
 use crate::state::{Coordinator, SceneFacts};
 use crate::store::{BlobError, Blobs};
 use crate::uploads::receivers::Fault;
@@ -104,7 +105,7 @@ const WRITTEN_AT_ONCE: usize = 1 << 20;
 
 /// A job whose result is written.
 pub(crate) struct AssemblyInput {
-    pub(crate) work: Arc<Work>,
+    pub(crate) work: Arc<PlannedJob>,
     pub(crate) profile: String,
     /// What there is of each tile.
     pub(crate) outputs: Vec<Output>,
@@ -118,25 +119,25 @@ impl AssemblyInput {
         Leaf {
             tile,
             output: self.outputs[tile.at()],
-            cells: self.work.plan.tiles[tile.at()].cells,
+            cells: self.work.plan().tiles[tile.at()].cells,
         }
     }
 
     /// The cells of a leaf tile, whose sets name at most `items` items. Those of a tile that is not done are
     /// empty, like those of one that was set aside.
-    fn read(&self, number: u32, blobs: &dyn Blobs, items: u32) -> Result<CellSets, AssembleError> {
+    fn read(
+        &self,
+        task: &Visibility,
+        number: u32,
+        blobs: &dyn Blobs,
+        items: u32,
+    ) -> Result<CellSets, AssembleError> {
         let leaf = self.leaf(number);
         if leaf.output != Output::Open {
             return leaf.read(blobs, items);
         }
-        let (tile, mut sets) = (&self.work.plan.tiles[leaf.tile.at()], CellSets::default());
-        empty_cells(
-            &self.work.spec.division,
-            &self.work.lattice,
-            &tile.cell,
-            tile.depth,
-            &mut sets,
-        );
+        let mut sets = CellSets::default();
+        empty_cells(task, &self.work.plan().tiles[leaf.tile.at()], &mut sets);
         Ok(sets)
     }
 }
@@ -192,41 +193,37 @@ pub(crate) fn write(
     parts: &AssemblyInput,
     out: &mut impl Write,
 ) -> Result<u64, AssembleError> {
-    if let Some(ambient) = &parts.work.spec.ambient {
-        return Ok(openness::write(c, ambient, &parts.outputs, out)?);
-    }
-    let (scene, blobs) = (facts(c, &parts.work.spec.scene)?, &*c.blobs);
-    let most = most_items(
-        &parts.work.spec,
-        scene.triangles,
-        scene.objects.len() as u32,
-    );
-    let leaves = || parts.work.plan.leaves().map(|n| parts.leaf(n));
+    let task = match &parts.work.spec().task {
+        Task::Ambient(ambient) => return Ok(openness::write(c, ambient, &parts.outputs, out)?),
+        Task::Visibility(task) => task,
+    };
+    let digest = &parts.work.spec().scene;
+    let (scene, blobs) = (facts(c, digest)?, &*c.blobs);
+    let (plan, lattice) = (parts.work.plan(), task.lattice());
+    let most = most_items(task, scene.triangles, scene.objects.len() as u32);
+    let leaves = || plan.leaves().map(|n| parts.leaf(n));
     // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
     // tile: keeping all tiles in memory would cost more than the second reading.
     let mut nodes = Vec::new();
     // The cells of a plan's only tile, which is read once.
     let mut kept = None;
     let mut statistics = Statistics::default();
-    for part in &parts.work.plan.outline {
+    for part in &plan.outline {
         match *part {
-            Outline::Split(s) => nodes.push(pvs_node(
-                sightline_model::Node::Split(s),
-                &parts.work.lattice,
-            )),
+            Outline::Split(s) => nodes.push(pvs_node(sightline_model::Node::Split(s), lattice)),
             Outline::Leaf(number) => {
                 let sets = match kept.take() {
                     Some(sets) => sets,
-                    None => parts.read(number, blobs, most)?,
+                    None => parts.read(task, number, blobs, most)?,
                 };
-                nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, &parts.work.lattice)));
-                if parts.work.plan.outline.len() == 1 {
+                nodes.extend(sets.nodes.iter().map(|n| pvs_node(*n, lattice)));
+                if plan.outline.len() == 1 {
                     kept = Some(sets);
                 }
             }
         }
     }
-    let items = items(c, &parts.work.spec)?;
+    let items = items(c, digest, task.items())?;
     // The visible set of every cell of a tile that was set aside; stand-ins do not repeat it for every cell.
     let all: Vec<u32> = match &items {
         None => (0..scene.triangles)
@@ -257,32 +254,23 @@ pub(crate) fn write(
             }
         })
         .collect();
-    let tree = CellTree::new(
-        parts.work.spec.view_box.corners().map(|c| c.to_array()),
-        nodes,
-    )?;
+    let tree = CellTree::new(task.view_box().corners().map(|c| c.to_array()), nodes)?;
     let cells = tree.cells();
     let mut builder = Builder::new(Header {
         triangles: scene.triangles,
-        method: parts.work.spec.method.to_string(),
+        method: task.method.name().to_string(),
         tree,
         objects,
-        info_json: info(parts, &scene, parts.samples, set_aside),
+        info_json: info(parts, task, &scene, set_aside),
     })?;
     if let Some(items) = &items {
         builder.set_items(items)?;
     }
-    if let Some(region) = parts
-        .work
-        .spec
-        .viewpoints
-        .as_ref()
-        .and_then(|marks| marks.region())
-    {
+    if let Some(region) = task.viewpoints().region() {
         builder.set_region(region.encode());
     }
-    let mut pairs = PairJoin::new(&parts.work.spec, &parts.work.lattice, cells);
-    if parts.work.spec.certificates
+    let mut pairs = PairJoin::new(task, cells);
+    if task.has_certificates()
         && let Some(file) = blobs.scratch()?
     {
         builder.keep_certificates_in(file);
@@ -295,7 +283,7 @@ pub(crate) fn write(
         };
         let mut sets = match kept.take() {
             Some(sets) => sets,
-            None => parts.read(leaf.tile.0, blobs, most)?,
+            None => parts.read(task, leaf.tile.0, blobs, most)?,
         };
         if !sets.portals.is_empty() {
             builder.set_portals(std::mem::take(&mut sets.portals))?;
@@ -319,13 +307,13 @@ pub(crate) fn write(
         });
         builder.push_cells(&shown.collect::<Vec<_>>())?;
         for cell in &sets.cells {
-            if parts.work.spec.certificates {
+            if task.has_certificates() {
                 let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
                 builder
                     .push_certificate(evidence)
                     .map_err(|e| of_disk(blobs, e))?;
             }
-            if parts.work.spec.sampling.contributions {
+            if task.has_contributions() {
                 let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
                 builder.push_contributions(&of.ok_or_else(|| wrong("it lacks contributions"))?)?;
             }
@@ -337,10 +325,7 @@ pub(crate) fn write(
             {
                 return Err(wrong("its pairs are those of another number of cells"));
             }
-            let boxes = boxes(
-                &parts.work.plan.tiles[leaf.tile.0 as usize].cell,
-                &sets.nodes,
-            );
+            let boxes = boxes(&plan.tiles[leaf.tile.at()].cell, &sets.nodes);
             boxes
                 .iter()
                 .zip(&sets.cells)
@@ -357,22 +342,23 @@ pub(crate) fn write(
 
 /// An upper limit on the numbers that the sets of a job's tiles name. There are at most as many clusters as
 /// triangles; objects may have none.
-pub(crate) fn most_items(spec: &JobSpec, triangles: u32, objects: u32) -> u32 {
-    match spec.sampling.granularity {
+pub(crate) fn most_items(task: &Visibility, triangles: u32, objects: u32) -> u32 {
+    match task.items() {
         Granularity::Triangles | Granularity::Clusters => triangles,
         Granularity::Objects => objects,
     }
 }
 
 /// What the sets of a job name; `None` for triangles.
-fn items(c: &Coordinator, spec: &JobSpec) -> Result<Option<Items>, AssembleError> {
+fn items(
+    c: &Coordinator,
+    digest: &Digest,
+    items: Granularity,
+) -> Result<Option<Items>, AssembleError> {
     let scene = || -> Result<Scene, AssembleError> {
-        Ok(Scene::from_blob(
-            "stored scene",
-            &c.blobs.read(&spec.scene)?,
-        )?)
+        Ok(Scene::from_blob("stored scene", &c.blobs.read(digest)?)?)
     };
-    Ok(match spec.sampling.granularity {
+    Ok(match items {
         Granularity::Triangles => None,
         Granularity::Clusters => Some(Items::Clusters(clusters(&scene()?))),
         Granularity::Objects => {
@@ -420,17 +406,20 @@ fn boxes(root: &CellBox, nodes: &[sightline_model::Node]) -> Vec<CellBox> {
 /// will show every triangle, including those without area. For a tile of samples: no samples.
 pub(crate) fn stand_in(
     c: &Coordinator,
-    spec: &JobSpec,
-    lattice: &Lattice,
-    tile: &Tile,
+    job: &PlannedJob,
+    tile: TileIndex,
 ) -> Result<(Digest, u64), AssembleError> {
-    if let Some(ambient) = &spec.ambient {
-        let bytes = openness::stand_in(ambient)?;
-        return Ok((c.blobs.put(&bytes)?, bytes.len() as u64));
-    }
+    let tile = &job.plan().tiles[tile.at()];
+    let task = match &job.spec().task {
+        Task::Ambient(ambient) => {
+            let bytes = openness::stand_in(ambient)?;
+            return Ok((c.blobs.put(&bytes)?, bytes.len() as u64));
+        }
+        Task::Visibility(task) => task,
+    };
     let output = if tile.kind == TileKind::Leaf {
         let mut sets = CellSets::default();
-        empty_cells(&spec.division, lattice, &tile.cell, tile.depth, &mut sets);
+        empty_cells(task, tile, &mut sets);
         TileOutput::Cells(sets)
     } else {
         TileOutput::Pack(sightline_model::Pack::default())
@@ -441,27 +430,32 @@ pub(crate) fn stand_in(
 
 /// The subtree below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on the
 /// samples.
-pub(crate) fn expected_nodes(
-    d: &Division,
-    l: &Lattice,
-    cell: &CellBox,
-    depth: u32,
-) -> Option<Vec<sightline_model::Node>> {
-    (!matches!(d, Division::Adaptive { .. })).then(|| {
+pub(crate) fn expected_nodes(task: &Visibility, tile: &Tile) -> Option<Vec<sightline_model::Node>> {
+    (!matches!(task.division(), Division::Adaptive { .. })).then(|| {
         let mut sets = CellSets::default();
-        empty_cells(d, l, cell, depth, &mut sets);
+        empty_cells(task, tile, &mut sets);
         sets.nodes
     })
 }
 
-/// The tree of a tile's cells, with empty sets.
-fn empty_cells(d: &Division, l: &Lattice, cell: &CellBox, depth: u32, out: &mut CellSets) {
-    let is_known = !matches!(d, Division::Adaptive { .. });
-    match d.split(l, cell, depth).filter(|_| is_known) {
+/// Adds the tree of a tile's cells, with empty sets.
+fn empty_cells(task: &Visibility, tile: &Tile, out: &mut CellSets) {
+    add_empty_cells(
+        (task.division(), task.lattice()),
+        &tile.cell,
+        tile.depth,
+        out,
+    );
+}
+
+fn add_empty_cells(of: (&Division, &Lattice), cell: &CellBox, depth: u32, out: &mut CellSets) {
+    let (division, lattice) = of;
+    let is_known = !matches!(division, Division::Adaptive { .. });
+    match division.split(lattice, cell, depth).filter(|_| is_known) {
         Some(split) => {
             out.nodes.push(sightline_model::Node::Split(split));
             for child in cell.children(split) {
-                empty_cells(d, l, &child, depth + 1, out);
+                add_empty_cells(of, &child, depth + 1, out);
             }
         }
         None => {
@@ -481,38 +475,27 @@ fn pvs_node(node: sightline_model::Node, lattice: &Lattice) -> Node {
     }
 }
 
-/// The description of the bake: everything that the result depends on, and nothing that differs between two
-/// runs.
-fn info(parts: &AssemblyInput, scene: &SceneFacts, samples: u64, set_aside: usize) -> String {
+/// Describes the bake: everything that the result depends on, and nothing that differs between two runs.
+fn info(parts: &AssemblyInput, task: &Visibility, scene: &SceneFacts, set_aside: usize) -> String {
     let kinds = &scene.kinds;
     let mut info = serde_json::json!({
         "program": concat!("sightline ", env!("CARGO_PKG_VERSION")),
         "algorithm": ALGORITHM_VERSION,
-        "scene": blake3::Hash::from_bytes(parts.work.spec.scene).to_hex().as_str(),
         "profile": parts.profile,
-        "division": parts.work.spec.division,
-        "sampling": parts.work.spec.sampling,
-        "method": parts.work.spec.method.to_string(),
-        "certificates": parts.work.spec.certificates,
-        "seed": parts.work.spec.seed,
-        "time_budget_ms": parts.work.spec.time_budget_ms,
-        "block_cells": parts.work.spec.block_cells,
-        "samples": samples,
+        "spec": parts.work.spec().to_json(),
+        "samples": parts.samples,
         "tiles_set_aside": set_aside,
     });
     let open = parts
         .work
-        .plan
+        .plan()
         .leaves()
         .filter(|n| parts.outputs[*n as usize] == Output::Open)
         .count();
     if open > 0 {
         info["tiles_open"] = open.into();
     }
-    if let Some(up) = parts.work.spec.up {
-        info["up"] = up.to_string().into();
-    }
-    if let Some(marks) = &parts.work.spec.viewpoints {
+    if let Some(marks) = task.viewpoints().mask() {
         info["viewpoints"] = serde_json::json!({
             "cells_reached": marks.reached(), "cells": marks.count(), "parts": marks.marked(),
         });

@@ -131,7 +131,7 @@ fn outcome(
             reason,
         } => {
             for &tile in tiles {
-                let made = stand_in(c, &work.spec, &work.lattice, &work.plan.tiles[tile.at()]);
+                let made = stand_in(c, work, tile);
                 let (digest, bytes) = match made {
                     Ok(made) => made,
                     Err(e) => {

@@ -123,10 +123,8 @@ pub(crate) fn summary(c: &Coordinator, id: JobId) -> Result<Summary, StoreError>
     let workers = c.lock().scheduler.workers();
     let tiles = c.store.tiles(id)?;
     // The specification of another version cannot be planned; the number of its cells is unknown then.
-    let total = stored_spec::planned(&*c.blobs, &record.spec)
-        .ok()
-        .and_then(|s| s.plan().ok().map(|(_, plan)| cells_total(&s, &plan)))
-        .unwrap_or(0);
+    let total =
+        stored_spec::without_viewpoints(&*c.blobs, &record.spec).map_or(0, |job| cells_total(&job));
     let trace = c.spans.trace_of(&record);
     Ok(Summary::of_ended(
         record,
@@ -351,12 +349,13 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
         let before = record(c, id)?;
         if before.state.phase().ended() {
             // Checked first: otherwise the job would be open in the store and absent from the scheduler.
-            let spec = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
-            Job::of(before, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+            let work = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
+            let work = Arc::new(work);
+            Job::new(before, Arc::clone(&work), c.store.tiles(id)?).map_err(JobError::Outdated)?;
             c.store.reopen_tiles(id)?;
             let after = record(c, id)?;
             if !after.state.phase().ended() {
-                let job = Job::of(after, &spec, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+                let job = Job::new(after, work, c.store.tiles(id)?).map_err(JobError::Outdated)?;
                 follow_ups = tell(c, Event::TakenUp(Box::new(job)));
                 tracing::info!("job {id} is tried again");
                 c.happened(LogEvent::of_job(Kind::Job, id, "the job is tried again"));

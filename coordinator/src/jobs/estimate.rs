@@ -5,15 +5,18 @@
 
 use std::sync::Arc;
 
-use prost::Message as _;
-use sightline_model::{JobSpec, SamplingParams};
+use sightline_model::numbers::{RayCount, TargetError};
+use sightline_model::{
+    CubeParams, JobSpec, LineAim, MethodName, PlannedJob, Sampler, SamplerName, Sampling, Stop,
+    Visibility,
+};
 use sightline_viewcells::Division;
 
 use crate::access::Caller;
 use crate::ids::JobId;
 use crate::jobs::control::{self, Summary};
 use crate::jobs::stored_spec;
-use crate::jobs::submit::{self, Submission, SubmitError};
+use crate::jobs::submit::{Submission, SubmitError};
 use crate::scheduler::cells_total;
 use crate::state::Coordinator;
 use crate::store::{JobPhase, JobRecord, JobState, owned_key, owned_request};
@@ -59,9 +62,8 @@ pub(crate) fn estimate(
     caller: &Caller,
     submission: &Submission,
 ) -> Result<Estimate, SubmitError> {
-    let spec = &submission.spec;
-    let plan = submit::plan(spec)?;
-    let cells = cells_total(spec, &plan);
+    let job = &submission.job;
+    let cells = cells_total(job);
     let known = match c
         .store
         .job_by_request(&owned_request(&submission.request_id, &submission.owner))?
@@ -69,7 +71,7 @@ pub(crate) fn estimate(
         Some(job) => Some(job),
         None => c
             .store
-            .job_by_key(&owned_key(spec.key(), &submission.owner))?,
+            .job_by_key(&owned_key(job.key(), &submission.owner))?,
     };
     let answers =
         |job: &JobRecord| !matches!(job.state.phase(), JobPhase::Failed | JobPhase::Cancelled);
@@ -99,11 +101,11 @@ pub(crate) fn estimate(
         )
     };
     let cost = (cells > 0)
-        .then(|| finished(c, caller, spec))
+        .then(|| finished(c, caller, job))
         .transpose()?
         .and_then(|jobs| cost(&jobs, cells));
     Ok(Estimate {
-        tiles: plan.tiles.len() as u32,
+        tiles: job.plan().tiles.len() as u32,
         cells,
         existing,
         jobs_before,
@@ -116,9 +118,10 @@ pub(crate) fn estimate(
 fn finished(
     c: &Coordinator,
     caller: &Caller,
-    spec: &JobSpec,
+    job: &PlannedJob,
 ) -> Result<Vec<Finished>, SubmitError> {
     let (records, _) = c.store.jobs_before(JobId(u64::MAX), MOST_LOOKED_AT)?;
+    let (spec, kind) = (job.spec(), JobKind::of(job.spec()));
     let mut jobs = Vec::new();
     for record in records
         .into_iter()
@@ -128,22 +131,18 @@ fn finished(
             continue;
         };
         // A specification of another version tells nothing about this one.
-        let Ok(other) = stored_spec::planned(&*c.blobs, &record.spec) else {
+        let Ok(other) = stored_spec::without_viewpoints(&*c.blobs, &record.spec) else {
             continue;
         };
-        let of_a_kind = |s: &JobSpec| {
-            let boxes = matches!(s.division, Division::Tree(_));
-            let how = (s.method, s.certificates, s.sampling.sampler);
-            (how, s.time_budget_ms > 0, boxes, s.ambient.is_some())
-        };
-        if of_a_kind(&other) != of_a_kind(spec) {
+        let other = other.spec();
+        if JobKind::of(other) != kind {
             continue;
         }
         let sum = control::summary(c, record.id)?;
         if sum.cells_done == 0 || sum.tiles_set_aside > 0 {
             continue;
         }
-        let like = other.scene == spec.scene && same(&other.sampling, &spec.sampling);
+        let like = other.scene == spec.scene && samples_alike(other, spec);
         jobs.push(Finished {
             like,
             cells: sum.cells_done,
@@ -154,9 +153,55 @@ fn finished(
     Ok(jobs)
 }
 
-/// Whether two jobs sample with the same parameters.
-fn same(a: &SamplingParams, b: &SamplingParams) -> bool {
-    a.to_proto().encode_to_vec() == b.to_proto().encode_to_vec()
+/// What jobs must have in common so that the time of one tells something about the other.
+#[derive(PartialEq)]
+struct JobKind {
+    /// The method and the sampler; `None` for ambient occlusion.
+    method: Option<(MethodName, Option<SamplerName>)>,
+    has_certificates: bool,
+    has_budget: bool,
+    has_boxes: bool,
+}
+
+impl JobKind {
+    fn of(spec: &JobSpec) -> Self {
+        let task = spec.visibility();
+        let sampler = |sampling: &Sampling| sampling.sampler.name();
+        Self {
+            method: task.map(|task| (task.method.name(), task.sampling().map(sampler))),
+            has_certificates: task.is_some_and(Visibility::has_certificates),
+            has_budget: spec.time_budget().is_some(),
+            has_boxes: task.is_some_and(|task| matches!(task.division(), Division::Tree(_))),
+        }
+    }
+}
+
+/// Returns true if two jobs sample with the same parameters, whatever their cells.
+fn samples_alike(a: &JobSpec, b: &JobSpec) -> bool {
+    let parameters = |spec: &JobSpec| {
+        let task = spec.visibility()?;
+        let sampling = task.sampling().map(|sampling| {
+            let sampler = match &sampling.sampler {
+                Sampler::Lines { aim, .. } => match aim {
+                    LineAim::Known { error, stop, .. } => SamplerParams::Lines(*error, *stop),
+                    LineAim::Adaptive { error, .. } => SamplerParams::Lines(*error, Stop::Expected),
+                },
+                Sampler::Guided { rays, .. } => SamplerParams::Guided(*rays),
+                Sampler::Cubes { params, .. } => SamplerParams::Cubes(*params),
+            };
+            (sampler, sampling.contributions)
+        });
+        Some((sampling, task.items(), task.far, task.pairs))
+    };
+    parameters(a) == parameters(b)
+}
+
+/// The parameters of a sampler, without its cells.
+#[derive(PartialEq)]
+enum SamplerParams {
+    Lines(TargetError, Stop),
+    Guided(RayCount),
+    Cubes(CubeParams),
 }
 
 /// The cost of `cells` cells by these jobs: by those on the same scene alone, if there are any.

@@ -2,6 +2,7 @@
 //! names. Their tiles are computed again, with all tiles that were computed from them.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use crate::dispatch::{FollowUp, tell};
 use crate::ids::{JobId, TileIndex};
@@ -203,8 +204,8 @@ fn open_again(
     follow_ups: &mut Vec<FollowUp>,
 ) -> Result<u32, StoreError> {
     let (id, was) = (job.id, job.state.phase());
-    let spec = stored_spec::whole(&*c.blobs, &job.spec);
-    if spec.is_err()
+    let work = stored_spec::whole(&*c.blobs, &job.spec).map(Arc::new);
+    if work.is_err()
         && let Some(part) = stored_spec::part(&job.spec).ok().and_then(|(_, part)| part)
         && let Err(e) = c.blobs.open_checked(&part)
         && e.passes()
@@ -214,8 +215,8 @@ fn open_again(
         });
     }
     let again = |record: JobRecord| {
-        let spec = spec.as_ref().map_err(String::clone)?;
-        Job::of(record, spec, c.store.tiles(id).map_err(|e| e.to_string())?)
+        let work = Arc::clone(work.as_ref().map_err(String::clone)?);
+        Job::new(record, work, c.store.tiles(id).map_err(|e| e.to_string())?)
     };
     // A job that another version began cannot be computed again; a result that is wrong must not stay as it
     // is.

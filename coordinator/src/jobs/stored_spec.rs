@@ -1,53 +1,42 @@
-//! How a job's specification is kept: in the job's record, or, when the marks of its viewpoints or its tree
-//! of boxes make it too large for a record, with these as a blob that the record names.
+//! How a job's specification is kept: in the job's record, or, when its viewpoints or its boxes make it too
+//! large for a record, as a blob that the record names beside what is left.
 
 use prost::Message as _;
-use sightline_model::JobSpec;
+use sightline_model::job::message::{has_boxes, remove_large_parts};
+use sightline_model::{JobSpec, PlannedJob, SceneFacts};
 use sightline_proto::v1;
 
 use crate::ids::Digest;
 use crate::store::{BlobError, Blobs, MAX_SPEC_BYTES};
 
-/// The first byte of a record whose viewpoints are a blob; no message begins with it. The blob's digest and
-/// the specification without viewpoints follow.
+/// The first byte of a record whose whole specification is a blob; no message begins with it. The blob's
+/// digest and the specification without its large parts follow.
 const NAMED: u8 = 0x07;
-/// The first byte of a record whose viewpoints and division are a blob, as a message with these fields alone.
-const PARTS: u8 = 0x0f;
 
-/// The bytes of a record for a specification. Stores its large parts as a blob when they are too large.
+/// Returns the bytes of a record for a specification. Stores it as a blob when it is too large.
+///
+/// # Errors
+/// [`BlobError`].
 pub(crate) fn stored(blobs: &dyn Blobs, spec: &JobSpec) -> Result<Vec<u8>, BlobError> {
-    let mut message = spec.to_proto();
+    let mut message = spec.to_message();
     let whole = message.encode_to_vec();
     if whole.len() <= MAX_SPEC_BYTES {
         return Ok(whole);
     }
-    let viewpoints = std::mem::take(&mut message.viewpoints);
-    let (kind, blob) = match &message.division {
-        Some(v1::job_spec::Division::Tree(_)) => {
-            let parts = v1::JobSpec {
-                viewpoints,
-                division: message.division.take(),
-                ..Default::default()
-            };
-            (PARTS, parts.encode_to_vec())
-        }
-        _ => (NAMED, viewpoints),
-    };
-    let digest = blobs.put(&blob)?;
-    let mut bytes = vec![kind];
+    let digest = blobs.put(&whole)?;
+    remove_large_parts(&mut message);
+    let mut bytes = vec![NAMED];
     bytes.extend(digest);
     bytes.extend(message.encode_to_vec());
     Ok(bytes)
 }
 
-/// A record's specification without its large parts if they are a blob, and the blob's digest.
+/// Reads a record's specification, without its large parts if the whole is a blob, and the blob's digest.
 ///
 /// # Errors
 /// The reason, when it cannot be decoded.
 pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String> {
-    let named = bytes
-        .split_first()
-        .filter(|(kind, _)| [NAMED, PARTS].contains(kind));
+    let named = bytes.split_first().filter(|(kind, _)| **kind == NAMED);
     let (rest, digest) = match named.and_then(|(_, bytes)| bytes.split_first_chunk::<32>()) {
         Some((digest, rest)) => (rest, Some(*digest)),
         None => (bytes, None),
@@ -57,57 +46,55 @@ pub(crate) fn part(bytes: &[u8]) -> Result<(v1::JobSpec, Option<Digest>), String
         .map_err(|e| format!("{e}; submit it again"))
 }
 
-/// The receivers that a record's specification names, if it can be read.
+/// Returns the receivers that a record's specification names, if it can be read and names some.
 pub(crate) fn receivers(bytes: &[u8]) -> Option<v1::Ambient> {
-    part(bytes).ok().and_then(|(spec, _)| spec.ambient)
-}
-
-/// The blobs that a record's specification names: its large parts, and its receivers. A specification of
-/// another version names nothing that can be read.
-pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
-    let Ok((spec, parts)) = part(bytes) else {
-        return Vec::new();
-    };
-    let receivers = spec
-        .ambient
-        .and_then(|ambient| ambient.receivers.try_into().ok());
-    parts.into_iter().chain(receivers).collect()
-}
-
-/// A record's whole specification.
-///
-/// # Errors
-/// The reason, when it cannot be decoded or read.
-pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<v1::JobSpec, String> {
-    let (mut spec, digest) = part(bytes)?;
-    if let Some(digest) = digest {
-        let blob = blobs.read(&digest);
-        let blob = blob
-            .map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
-        if bytes.first() == Some(&PARTS) {
-            let parts = v1::JobSpec::decode(&*blob);
-            let parts =
-                parts.map_err(|e| format!("its boxes cannot be read: {e}; submit it again"))?;
-            (spec.viewpoints, spec.division) = (parts.viewpoints, parts.division);
-        } else {
-            spec.viewpoints = blob;
-        }
+    match part(bytes).ok()?.0.task? {
+        v1::job_spec::Task::Ambient(ambient) => Some(ambient),
+        v1::job_spec::Task::Visibility(_) => None,
     }
-    Ok(spec)
 }
 
-/// A record's specification without its viewpoints where they are a blob: what a plan needs.
+/// Returns the blobs that a record's specification names: the whole of it, and its receivers. A specification
+/// of another version names nothing that can be read.
+pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
+    let whole = part(bytes).ok().and_then(|(_, whole)| whole);
+    let receivers = receivers(bytes).and_then(|ambient| ambient.receivers.try_into().ok());
+    whole.into_iter().chain(receivers).collect()
+}
+
+/// Reads and plans a record's whole specification.
 ///
 /// # Errors
 /// The reason, when it cannot be decoded or read.
-pub(crate) fn planned(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
-    let (spec, _) = part(bytes)?;
-    let spec = if spec.division.is_some() {
-        spec
-    } else {
-        whole(blobs, bytes)?
+pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
+    let (part, digest) = part(bytes)?;
+    let Some(digest) = digest else {
+        return planned(&part);
     };
-    JobSpec::from_proto(&spec, None).map_err(|e| e.to_string())
+    let blob = blobs
+        .read(&digest)
+        .map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
+    let whole = v1::JobSpec::decode(&*blob);
+    planned(&whole.map_err(|e| format!("its specification cannot be read: {e}; submit it again"))?)
+}
+
+/// Reads and plans a record's specification, without its viewpoints where the whole is a blob.
+///
+/// # Errors
+/// The reason, when it cannot be decoded or read.
+pub(crate) fn without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
+    let (part, digest) = part(bytes)?;
+    match digest.is_some() && has_boxes(&part) {
+        true => whole(blobs, bytes),
+        false => planned(&part),
+    }
+}
+
+fn planned(message: &v1::JobSpec) -> Result<PlannedJob, String> {
+    // A stored message has every field, so that no fact about the scene is needed.
+    let spec = JobSpec::from_message(message, &SceneFacts::default());
+    spec.map(PlannedJob::stored)
+        .map_err(|e| format!("{e}; submit it again"))
 }
 
 #[cfg(test)]
@@ -115,11 +102,17 @@ mod tests {
     use std::sync::Arc;
 
     use glam::Vec3;
+    use sightline_model::{BoxCells, GridCells, KnownCells, Method, Sampler, Sampling, Viewpoints};
     use sightline_scene::Aabb;
-    use sightline_viewcells::{Division, KdTree, Viewpoints};
+    use sightline_viewcells::{KdTree, PartMask};
 
     use super::*;
     use crate::store::MemoryBlobs;
+
+    fn job(cells: KnownCells) -> JobSpec {
+        let sampling = Sampling::new(Sampler::lines(cells));
+        JobSpec::new([7; 32], Method::aggressive(sampling))
+    }
 
     #[test]
     fn a_large_specification_comes_back_from_its_blob() {
@@ -129,24 +122,26 @@ mod tests {
             max: Vec3::ONE,
         };
         let grid = [16, 16, 16];
-        let mut spec = JobSpec::new([7; 32], Division::Grid(grid), view_box);
-        assert_eq!(
-            stored(&blobs, &spec).unwrap(),
-            spec.to_proto().encode_to_vec()
-        );
-        let mut marks = Viewpoints::none(grid);
+        let cells = GridCells::new(view_box, grid).unwrap();
+        let small = job(KnownCells::Grid(cells.clone()));
+        let bytes = stored(&blobs, &small).unwrap();
+        assert_eq!(bytes, small.to_message().encode_to_vec());
+        assert_eq!(whole(&blobs, &bytes).unwrap().spec(), &small);
+        let mut marks = PartMask::empty(grid);
         (0..64).step_by(3).for_each(|x| {
             (0..64)
                 .step_by(5)
                 .for_each(|y| marks.mark([x, y, (x + y) % 64]))
         });
-        spec.viewpoints = Some(Arc::new(marks));
+        let marked = cells.with_viewpoints(Viewpoints::new(marks, None)).unwrap();
+        let spec = job(KnownCells::Grid(marked));
         let bytes = stored(&blobs, &spec).unwrap();
         assert!(
-            bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES
+            bytes.len() < MAX_SPEC_BYTES
+                && spec.to_message().encode_to_vec().len() > MAX_SPEC_BYTES
         );
-        assert_eq!(whole(&blobs, &bytes).unwrap(), spec.to_proto());
-        assert!(part(&bytes).unwrap().0.viewpoints.is_empty());
+        assert_eq!(whole(&blobs, &bytes).unwrap().spec(), &spec);
+        assert_eq!(without_viewpoints(&blobs, &bytes).unwrap().spec(), &small);
         let other = MemoryBlobs::default();
         assert!(whole(&other, &bytes).unwrap_err().contains("viewpoints"));
         assert!(part(&bytes[..20]).is_err());
@@ -175,15 +170,14 @@ mod tests {
         }
         let mut nodes = (Vec::new(), Vec::new());
         halve(0, 1000, &mut nodes);
-        let tree = Division::Tree(Arc::new(KdTree::new(&nodes.0, &nodes.1).unwrap()));
-        let spec = JobSpec::new([7; 32], tree, view_box);
+        let tree = Arc::new(KdTree::new(&nodes.0, &nodes.1).unwrap());
+        let spec = job(KnownCells::Boxes(BoxCells::new(view_box, tree).unwrap()));
         let bytes = stored(&blobs, &spec).unwrap();
         assert!(
-            bytes.len() < MAX_SPEC_BYTES && spec.to_proto().encode_to_vec().len() > MAX_SPEC_BYTES
+            bytes.len() < MAX_SPEC_BYTES
+                && spec.to_message().encode_to_vec().len() > MAX_SPEC_BYTES
         );
-        let back = whole(&blobs, &bytes).unwrap();
-        assert_eq!(back, spec.to_proto());
-        assert_eq!(JobSpec::from_proto(&back, None).unwrap(), spec);
-        assert!(part(&bytes).unwrap().0.division.is_none());
+        assert_eq!(whole(&blobs, &bytes).unwrap().spec(), &spec);
+        assert_eq!(without_viewpoints(&blobs, &bytes).unwrap().spec(), &spec);
     }
 }

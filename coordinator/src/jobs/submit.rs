@@ -2,9 +2,8 @@
 
 use std::sync::Arc;
 
-use sightline_model::{JobSpec, Method};
+use sightline_model::{PlannedJob, SceneFacts, SpecError};
 use sightline_traces::Begun;
-use sightline_viewcells::{DivisionError, Plan};
 
 use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
@@ -35,7 +34,7 @@ pub(crate) struct Submission {
     /// Jobs of higher priority come first.
     pub(crate) priority: i32,
     /// The job.
-    pub(crate) spec: JobSpec,
+    pub(crate) job: Arc<PlannedJob>,
     /// What led to it, for its trace.
     pub(crate) cause: Cause,
 }
@@ -43,9 +42,15 @@ pub(crate) struct Submission {
 /// A submission that is refused.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SubmitError {
-    /// The specification cannot be planned.
-    #[error("{0}")]
-    Spec(String),
+    /// The job does not fit its scene.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// A receiver is on a triangle that the scene does not have.
+    #[error(
+        "a receiver lies on triangle {0}, which the scene does not have; submit with the scene that the \
+         receivers are for"
+    )]
+    Receiver(u32),
     /// The job was stored but cannot be scheduled.
     #[error("{0}")]
     Schedule(String),
@@ -66,13 +71,6 @@ pub(crate) enum SubmitError {
     Store(#[from] StoreError),
 }
 
-/// The plan of a job, if its division can be sampled.
-pub(crate) fn plan(spec: &JobSpec) -> Result<Plan, SubmitError> {
-    let bad = |e: DivisionError| SubmitError::Spec(e.to_string());
-    spec.moved_by_rounding().map_err(bad)?;
-    spec.plan().map(|(_, plan)| plan).map_err(bad)
-}
-
 /// Submits a job on a recorded scene; returns its id and whether it existed before. A done job whose result
 /// is lost is begun again.
 pub(crate) fn submit(
@@ -86,45 +84,36 @@ pub(crate) fn submit(
         owner,
         user,
         priority,
-        spec,
+        job: planned,
         cause,
     } = submission;
-    let plan = plan(spec)?;
-    if spec.method != Method::Aggressive {
+    let (spec, plan) = (planned.spec(), planned.plan());
+    let is_asked = spec
+        .visibility()
+        .is_some_and(|task| task.is_decided() || task.viewpoints().region().is_some());
+    if is_asked {
         let facts = scenes::facts(c, &spec.scene)?;
-        if facts.kinds.any_masked() {
-            return Err(SubmitError::Spec(
-                "exact queries do not read the alpha masks of this scene; submit with the method aggressive, \
-                 or a scene that was read without alpha textures"
-                    .to_owned(),
-            ));
-        }
+        let scene = SceneFacts {
+            triangles: facts.triangles,
+            bounds: None,
+            has_masks: facts.kinds.any_masked(),
+            is_culled: facts.culled,
+        };
+        spec.fits(&scene)?;
     }
-    let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
-    if let Some(triangle) = region.and_then(|region| region.greatest_triangle())
-        && triangle >= scenes::facts(c, &spec.scene)?.triangles
-    {
-        return Err(SubmitError::Spec(format!(
-            "the region of viewpoints names triangle {triangle}, which the scene does not have; submit with \
-             the scene that the region was found in"
-        )));
-    }
-    if let Some(ambient) = spec.ambient
+    if let Some(ambient) = spec.ambient()
         && let Some(triangle) = receivers::stored(c, ambient.receivers)?
             .facts
             .greatest_triangle
         && triangle >= scenes::facts(c, &spec.scene)?.triangles
     {
-        return Err(SubmitError::Spec(format!(
-            "a receiver lies on triangle {triangle}, which the scene does not have; submit with the scene \
-             that the receivers are for"
-        )));
+        return Err(SubmitError::Receiver(triangle));
     }
     let _having = turn_of(c, owner);
-    let bytes = spec.ambient.map_or(0, |ambient| ambient.bytes);
+    let bytes = spec.ambient().map_or(0, |ambient| ambient.bytes);
     // What was sent for this job counts until now as a chunk.
     let sent = spec
-        .ambient
+        .ambient()
         .filter(|ambient| c.uploads.has(owner, &ambient.receivers))
         .map_or(0, |_| bytes);
     let more = Usage {
@@ -136,18 +125,18 @@ pub(crate) fn submit(
     // A job that is there already is no more.
     let known = c
         .store
-        .job_by_key(&owned_key(spec.key(), owner))?
+        .job_by_key(&owned_key(planned.key(), owner))?
         .map(|job| job.state.phase());
     if known.is_none_or(|phase| matches!(phase, JobPhase::Failed | JobPhase::Cancelled)) {
         reserve_quota(c, owner, more, sent)?;
     }
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
     let mut turn = c.turn();
-    if let Some(ambient) = spec.ambient {
+    if let Some(ambient) = spec.ambient() {
         receivers::hold(c, ambient.receivers)?;
     }
     let job = NewJob {
-        key: owned_key(spec.key(), owner),
+        key: owned_key(planned.key(), owner),
         request_id: owned_request(request_id, owner),
         name: name.clone(),
         owner: owner.clone(),
@@ -189,7 +178,7 @@ pub(crate) fn submit(
             submitted = c.store.submit_job(job)?;
         }
     }
-    if let Some(ambient) = spec.ambient {
+    if let Some(ambient) = spec.ambient() {
         // From now on it is the job that names them.
         c.uploads.forget(owner, &[ambient.receivers]);
     }
@@ -198,7 +187,7 @@ pub(crate) fn submit(
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
         let tiles = c.store.tiles(id)?;
-        let job = Job::of(record, &spec.to_proto(), tiles).map_err(SubmitError::Schedule)?;
+        let job = Job::new(record, Arc::clone(planned), tiles).map_err(SubmitError::Schedule)?;
         tracing::info!(
             "job {id} ({name:?}) is submitted; tiles: {}",
             plan.tiles.len()

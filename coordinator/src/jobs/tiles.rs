@@ -65,12 +65,9 @@ pub(crate) fn list(
     let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
     let records = c.store.tiles(id)?;
     let live = c.lock().scheduler.live_tiles(id, 0..records.len());
-    let planned = stored_spec::planned(&*c.blobs, &record.spec).ok();
-    let planned = planned
-        .and_then(|spec| spec.plan().ok())
-        .filter(|(_, p)| p.tiles.len() == records.len());
+    let planned = stored_spec::without_viewpoints(&*c.blobs, &record.spec).ok();
+    let planned = planned.filter(|job| job.plan().tiles.len() == records.len());
     let total = records.len() as u32;
-    let has_receivers = stored_spec::receivers(&record.spec).is_some();
     let (mut tiles, mut next) = (Vec::new(), None);
     for (at, record) in records.into_iter().enumerate().skip(first.at()) {
         if tiles.len() == most {
@@ -100,9 +97,9 @@ pub(crate) fn list(
             conflicts: record.conflicts,
             is_pack: false,
         };
-        if let Some((lattice, plan)) = &planned {
-            let tile = &plan.tiles[at];
-            view.bounds = (!has_receivers).then(|| tile.cell.world(lattice).into());
+        if let Some(job) = &planned {
+            let tile = &job.plan().tiles[at];
+            view.bounds = job.lattice().map(|lattice| tile.cell.world(lattice).into());
             (view.cells, view.is_pack) = (tile.cells, tile.kind != TileKind::Leaf);
         }
         match (record.state, live) {

@@ -4,10 +4,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use sightline_model::codec;
-use sightline_model::{CellSet, JobSpec, Method, Node, TileOutput};
+use sightline_model::{CellSet, Node, PlannedJob, Task, TileOutput, Visibility};
 use sightline_pvs::Portals;
 use sightline_traces::Begun;
-use sightline_viewcells::{CellBox, Division, TileKind};
+use sightline_viewcells::{CellBox, Division, Tile, TileKind};
 
 use crate::assemble::openness::{self, AnswerError};
 use crate::assemble::result::{expected_nodes, most_items};
@@ -16,7 +16,7 @@ use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::outputs::presigned;
 use crate::quota::Sender;
-use crate::scheduler::{Admitted, Event, NoTile, Work};
+use crate::scheduler::{Admitted, Event, NoTile};
 use crate::state::Coordinator;
 use crate::store::{
     Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult,
@@ -195,19 +195,21 @@ pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address
 
 /// Returns the maximum length of a tile's output before it is unpacked. Packing adds little to bytes that it
 /// cannot shorten.
-fn most_packed(c: &Coordinator, work: &Work, lease: Lease) -> Result<u64, ResultError> {
-    let spec = &*work.spec;
-    if spec.ambient.is_some() {
+fn most_packed(c: &Coordinator, work: &PlannedJob, lease: Lease) -> Result<u64, ResultError> {
+    let Task::Visibility(task) = &work.spec().task else {
         return Ok(codec::MAX_UNPACKED);
-    }
-    let tile = work
-        .plan
-        .tiles
-        .get(lease.tile.at())
-        .ok_or(ResultError::NoTile)?;
-    let items = most_items_of(spec, c.store.scene(&spec.scene)?.as_ref(), tile.kind);
-    let unpacked = most_unpacked(spec, tile.cells, items, tile.kind != TileKind::Leaf);
+    };
+    let tile = tile_of(work, lease)?;
+    let scene = c.store.scene(&work.spec().scene)?;
+    let items = most_items_of(task, scene.as_ref(), tile.kind);
+    let unpacked = most_unpacked(task, tile.cells, items, tile.kind != TileKind::Leaf);
     Ok(packed(unpacked))
+}
+
+/// Returns the tile of a lease.
+fn tile_of(work: &PlannedJob, lease: Lease) -> Result<&Tile, ResultError> {
+    let tile = work.plan().tiles.get(lease.tile.at());
+    tile.ok_or(ResultError::NoTile)
 }
 
 /// Returns the maximum packed length of an output, by its unpacked length, in bytes.
@@ -219,9 +221,9 @@ fn packed(unpacked: u64) -> u64 {
 }
 
 /// Returns the number of items that an output of a kind can name.
-fn most_items_of(spec: &JobSpec, scene: Option<&SceneRecord>, kind: TileKind) -> u32 {
+fn most_items_of(task: &Visibility, scene: Option<&SceneRecord>, kind: TileKind) -> u32 {
     scene.map_or(0, |s| match kind {
-        TileKind::Leaf => most_items(spec, s.triangles, s.objects),
+        TileKind::Leaf => most_items(task, s.triangles, s.objects),
         TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
     })
 }
@@ -282,7 +284,7 @@ fn fetch(c: &Coordinator, staged: &Staged) -> Result<Vec<u8>, ResultError> {
 /// tile.
 fn check(
     c: &Coordinator,
-    work: &Work,
+    work: &PlannedJob,
     announced: &UploadHeader,
     bytes: &[u8],
     weight: Weight,
@@ -293,35 +295,31 @@ fn check(
     if announced.bytes != bytes.len() as u64 {
         return Err(ResultError::Length);
     }
-    let spec = &*work.spec;
-    if let Some(ambient) = &spec.ambient {
-        return openness::check(c, ambient, announced.lease.tile, bytes).map_err(|e| match e {
-            AnswerError::NoTile => ResultError::NoTile,
-            AnswerError::Blob(e) => ResultError::Blob(e),
-            e @ (AnswerError::Receivers(_) | AnswerError::Openness(_)) => {
-                ResultError::Encoding(e.to_string())
-            }
-        });
-    }
-    let tile = work
-        .plan
-        .tiles
-        .get(announced.lease.tile.at())
-        .ok_or(ResultError::NoTile)?;
+    let task = match &work.spec().task {
+        Task::Ambient(ambient) => {
+            let checked = openness::check(c, ambient, announced.lease.tile, bytes);
+            return checked.map_err(|e| match e {
+                AnswerError::NoTile => ResultError::NoTile,
+                AnswerError::Blob(e) => ResultError::Blob(e),
+                e @ (AnswerError::Receivers(_) | AnswerError::Openness(_)) => {
+                    ResultError::Encoding(e.to_string())
+                }
+            });
+        }
+        Task::Visibility(task) => task,
+    };
+    let tile = tile_of(work, announced.lease)?;
     let kind = tile.kind;
-    let scene = c.store.scene(&spec.scene)?;
-    let expected = expected_nodes(&spec.division, &work.lattice, &tile.cell, tile.depth);
-    let items = most_items_of(spec, scene.as_ref(), kind);
-    let pairs = spec.pair_cells().map(|sides| sides.iter().product::<u32>());
+    let scene = c.store.scene(&work.spec().scene)?;
+    let expected = expected_nodes(task, tile);
+    let items = most_items_of(task, scene.as_ref(), kind);
+    let pairs = task.pair_cells().map(|sides| sides.iter().product::<u32>());
     let unreached = expected
         .as_ref()
-        .map_or_else(Vec::new, |nodes| unreached(work, &tile.cell, nodes));
-    let (exact, hits) = (
-        spec.method != Method::Aggressive,
-        spec.sampling.contributions,
-    );
+        .map_or_else(Vec::new, |nodes| unreached(task, &tile.cell, nodes));
+    let (exact, hits) = (task.is_decided(), task.has_contributions());
     let is_pack = kind != TileKind::Leaf;
-    let most = most_unpacked(spec, tile.cells, items, is_pack);
+    let most = most_unpacked(task, tile.cells, items, is_pack);
     let now = if weight == Weight::Light {
         most.min(MAX_LIGHT)
     } else {
@@ -353,7 +351,7 @@ fn check(
             {
                 return Err(ResultError::Viewpoints);
             }
-            let has_portals = spec.has_portals() && announced.lease.tile.at() == 0;
+            let has_portals = task.has_portals() && announced.lease.tile.at() == 0;
             let is_table = |bytes: &[u8]| {
                 Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok()
             };
@@ -372,15 +370,15 @@ fn check(
 
 /// Most bytes that an output of so many cells unpacks to. A set has at most all items, each with a
 /// difference and a count of at most five bytes; proofs and packs have no such bound.
-fn most_unpacked(spec: &JobSpec, cells: u64, items: u32, is_pack: bool) -> u64 {
-    if is_pack || spec.method != Method::Aggressive || spec.has_portals() || cells == 0 {
+fn most_unpacked(task: &Visibility, cells: u64, items: u32, is_pack: bool) -> u64 {
+    if is_pack || task.is_decided() || task.has_portals() || cells == 0 {
         return codec::MAX_UNPACKED;
     }
-    let pairs = spec.pair_cells().map_or(0, |sides| {
+    let pairs = task.pair_cells().map_or(0, |sides| {
         sides.iter().map(|n| u64::from(*n)).product::<u64>()
     });
     // An adaptive tile has more cells than its plan says, and at most two to the depth of its tree.
-    let cells = if matches!(spec.division, Division::Adaptive { .. }) {
+    let cells = if matches!(task.division(), Division::Adaptive { .. }) {
         cells.saturating_mul(1 << 12)
     } else {
         cells
@@ -396,8 +394,8 @@ fn most_unpacked(spec: &JobSpec, cells: u64, items: u32, is_pack: bool) -> u64 {
 }
 
 /// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
-fn unreached(work: &Work, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
-    if work.spec.viewpoints.is_none() {
+fn unreached(task: &Visibility, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
+    if task.viewpoints().mask().is_none() {
         return Vec::new();
     }
     let (mut open, mut out) = (vec![*of], Vec::new());
@@ -408,7 +406,7 @@ fn unreached(work: &Work, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
                 let [below, above] = cell.children(*split);
                 open.extend([above, below]);
             }
-            Node::Cell => out.push(work.spec.marks(&work.lattice, &cell) == 0),
+            Node::Cell => out.push(task.marks(&cell) == 0),
         }
     }
     out

@@ -38,7 +38,7 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<FollowUp> {
     };
     let begun = Begun::now();
     let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
-    let assembled = if parts.work.plan.leaves().all(aside) {
+    let assembled = if parts.work.plan().leaves().all(aside) {
         Err("every tile failed; `sightline show` and the workers' logs say why".to_owned())
     } else {
         // A panic must not leave the job half ended.
@@ -137,11 +137,10 @@ fn do_without(
     if let Some(follow_ups) = compute_again(c, id, &parts.outputs, e) {
         return follow_ups;
     }
-    let spec = &parts.work.spec;
+    let spec = parts.work.spec();
     let mut follow_ups = Vec::new();
     let receivers = spec
-        .ambient
-        .as_ref()
+        .ambient()
         .map(|ambient| MissingBlob::Receivers(ambient.receivers));
     for lacks in [Some(MissingBlob::Scene(spec.scene)), receivers]
         .into_iter()

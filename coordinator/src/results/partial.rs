@@ -67,13 +67,14 @@ pub(crate) fn so_far(
     if let JobState::Done { result, .. } = record.state {
         return Ok(c.blobs.read(&result)?.into());
     }
-    let spec = stored_spec::whole(&*c.blobs, &record.spec).map_err(PartialError::Outdated)?;
+    let work = stored_spec::whole(&*c.blobs, &record.spec).map_err(PartialError::Outdated)?;
     let profile = record.profile.clone().unwrap_or_default();
-    let job = Job::of(record, &spec, c.store.tiles(id)?).map_err(PartialError::Outdated)?;
+    let job =
+        Job::new(record, Arc::new(work), c.store.tiles(id)?).map_err(PartialError::Outdated)?;
     let outputs: Vec<Output> = job.tiles.iter().map(|tile| tile.output).collect();
     if !job
         .work
-        .plan
+        .plan()
         .leaves()
         .any(|n| matches!(outputs[n as usize], Output::Done(_)))
     {

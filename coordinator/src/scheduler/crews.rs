@@ -197,7 +197,7 @@ impl Scheduler {
         };
         let help = Help {
             lease,
-            spec: job.work.spec.clone(),
+            work: std::sync::Arc::clone(&job.work),
             profile: profile.to_string(),
         };
         self.effects

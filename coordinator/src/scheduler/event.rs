@@ -5,7 +5,9 @@
 
 use std::sync::Arc;
 
-use super::job::{Job, Work};
+use sightline_model::PlannedJob;
+
+use super::job::Job;
 use super::messages::{Introduction, Joined, NameTaken, ProfileTime, Progress, WorkerCommand};
 use crate::ids::{Digest, JobId, Lease, TileIndex, WorkerId};
 use crate::store::{JobRecord, TileStats};
@@ -176,7 +178,7 @@ pub(crate) enum StoreCommand {
         /// The job.
         job: JobId,
         /// Its specification and plan, from which the stand-ins are made.
-        work: Arc<Work>,
+        work: Arc<PlannedJob>,
         /// The tiles.
         tiles: Vec<TileIndex>,
         /// Why.

@@ -208,7 +208,7 @@ impl Scheduler {
                 tile,
                 id: lease,
             },
-            spec: Arc::clone(&job.work.spec),
+            work: Arc::clone(&job.work),
             packs: job.packs(tile),
             millis: job.millis_for_a_tile(able, now),
             profile: profile.to_string(),
@@ -293,7 +293,7 @@ impl Scheduler {
                     && long
                     && !l.checks
                     && l.gone.is_none()
-                    && job.work.spec.time_budget_ms == 0;
+                    && job.work.spec().time_budget().is_none();
                 (may && self.allowed(job) && !job.pending).then_some((l.job, l.tile, *id))
             });
         let Some((job, tile, id)) = straggler else {

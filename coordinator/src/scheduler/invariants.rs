@@ -181,7 +181,7 @@ impl Scheduler {
             leases.iter().map(|l| l.samples).sum::<u64>() == job.running_samples,
             "samples",
         )?;
-        for (tile, planned) in job.tiles.iter().zip(&job.work.plan.tiles) {
+        for (tile, planned) in job.tiles.iter().zip(&job.work.plan().tiles) {
             let open = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
             ensure(
                 planned.needs.iter().filter(open).count() as u32 == tile.missing,

@@ -7,9 +7,8 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use sightline_model::JobSpec;
-use sightline_proto::v1;
-use sightline_viewcells::{Lattice, Plan, TileKind};
+use sightline_model::{PlannedJob, Task};
+use sightline_viewcells::{Division, TileKind};
 
 use super::messages::Now;
 use super::pools::{List, QueuePosition};
@@ -18,14 +17,6 @@ use super::queue::QueueKey;
 use super::spot_check::{Name, SpotCheck};
 use crate::ids::{Digest, Epoch, LeaseId, TileIndex, WorkerId};
 use crate::store::{JobPhase, JobRecord, TileRecord, TileState, TileStats, owned_key};
-
-/// What a job computes. Never changes, so it is shared.
-#[derive(Debug)]
-pub(crate) struct Work {
-    pub(crate) spec: Arc<JobSpec>,
-    pub(crate) lattice: Lattice,
-    pub(crate) plan: Plan,
-}
 
 /// What is there of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,7 +87,7 @@ pub(super) enum Parked {
 #[derive(Debug)]
 pub(crate) struct Job {
     pub(crate) record: JobRecord,
-    pub(crate) work: Arc<Work>,
+    pub(crate) work: Arc<PlannedJob>,
     /// Whose it is, and how urgent.
     pub(super) whom: QueueKey,
     pub(crate) tiles: Vec<Tile>,
@@ -144,42 +135,26 @@ pub(crate) struct Job {
 }
 
 impl Job {
-    /// The job of a store's record, whose specification is `spec`.
+    /// Makes the job of a store's record from its plan.
     ///
     /// # Errors
-    /// The reason, when the specification or the plan was made by another version of the program.
-    pub(crate) fn of(
+    /// The reason, when another version of the program made the specification or the plan.
+    pub(crate) fn new(
         record: JobRecord,
-        spec: &v1::JobSpec,
+        work: Arc<PlannedJob>,
         tiles: Vec<TileRecord>,
     ) -> Result<Self, String> {
-        let parsed = JobSpec::from_proto(spec, None)
-            .map_err(|e| e.to_string())
-            .and_then(|spec| {
-                spec.plan()
-                    .map(|(l, p)| (spec, l, p))
-                    .map_err(|e| e.to_string())
-            });
-        let (spec, lattice, plan) = parsed.map_err(|e| format!("{e}; submit it again"))?;
-        if record.key != owned_key(spec.key(), &record.owner) {
+        if record.key != owned_key(work.key(), &record.owner) {
             return Err("another version of this program began it; submit it again".to_owned());
         }
-        if plan.tiles.len() != tiles.len() {
+        if work.plan().tiles.len() != tiles.len() {
             return Err(format!(
                 "it was planned with {} tiles and would now have {}; submit it again",
                 tiles.len(),
-                plan.tiles.len()
+                work.plan().tiles.len()
             ));
         }
-        Ok(Self::with(
-            record,
-            Work {
-                spec: Arc::new(spec),
-                lattice,
-                plan,
-            },
-            tiles,
-        ))
+        Ok(Self::with(record, work, tiles))
     }
 
     /// The job when an earlier epoch may have leased its tiles: they are leased again only after a while.
@@ -189,8 +164,8 @@ impl Job {
     }
 
     /// The job with this work and recorded states.
-    pub(crate) fn with(record: JobRecord, work: Work, tiles: Vec<TileRecord>) -> Self {
-        let needs = work.plan.tiles.iter().map(|t| &t.needs);
+    pub(crate) fn with(record: JobRecord, work: Arc<PlannedJob>, tiles: Vec<TileRecord>) -> Self {
+        let needs = work.plan().tiles.iter().map(|t| &t.needs);
         let mut first = vec![0u32; tiles.len() + 1];
         for n in needs.clone().flatten() {
             first[*n as usize + 1] += 1;
@@ -204,13 +179,13 @@ impl Job {
                 next[*n as usize] += 1;
             }
         }
-        let cells_total = cells_total(&work.spec, &work.plan);
+        let cells_total = cells_total(&work);
         let whom = whom(&record);
         let mut job = Self {
             record,
             whom,
             cells_total,
-            work: Arc::new(work),
+            work,
             tiles: Vec::with_capacity(tiles.len()),
             dependents,
             first,
@@ -278,7 +253,7 @@ impl Job {
         for at in 0..job.tiles.len() {
             let done = |n: &&u32| !matches!(job.tiles[**n as usize].output, Output::Done(_));
             job.tiles[at].missing =
-                job.work.plan.tiles[at].needs.iter().filter(done).count() as u32;
+                job.work.plan().tiles[at].needs.iter().filter(done).count() as u32;
         }
         job.ready = job.indices().filter(|t| job.is_ready(*t)).collect();
         job
@@ -333,9 +308,9 @@ impl Job {
         let (done, all) = self.done_of();
         let left = self.pace.left(now.ms, done, all - done)?;
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
-        Some(match self.work.spec.time_budget_ms {
-            0 => left,
-            budget => left.min(budget.saturating_sub(spent)),
+        Some(match self.work.spec().time_budget() {
+            None => left,
+            Some(budget) => left.min(budget.get().saturating_sub(spent)),
         })
     }
 
@@ -405,18 +380,18 @@ impl Job {
     /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by
     /// the open tiles and multiplied by the workers that share them. Never zero, however late it is.
     pub(super) fn millis_for_a_tile(&self, workers: u64, now: Now) -> Option<u64> {
-        let budget = self.work.spec.time_budget_ms;
+        let budget = self.work.spec().time_budget()?.get();
         let open = u64::from(self.open().max(1));
         let spent = now.unix_ms.saturating_sub(self.record.submitted_at_ms);
         // A tenth is kept for assembling the result.
         let share =
             (budget.saturating_sub(spent) / 10 * 9).saturating_mul(workers.clamp(1, open)) / open;
-        (budget > 0).then(|| share.max(budget / (8 * self.tiles.len().max(1) as u64)))
+        Some(share.max(budget / (8 * self.tiles.len().max(1) as u64)))
     }
 
     /// Digests of the packs that `tile` needs, in the plan's order.
     pub(super) fn packs(&self, tile: TileIndex) -> Vec<Option<Digest>> {
-        let needs = &self.work.plan.tiles[tile.at()].needs;
+        let needs = &self.work.plan().tiles[tile.at()].needs;
         needs
             .iter()
             .map(|n| self.tiles[*n as usize].output.digest())
@@ -465,15 +440,14 @@ pub(super) fn whom(record: &JobRecord) -> QueueKey {
     }
 }
 
-/// View cells of a plan; 0 for an adaptive division, whose cells are not known before it is sampled.
-pub(crate) fn cells_total(job: &JobSpec, plan: &Plan) -> u64 {
-    match job.division {
-        sightline_viewcells::Division::Grid(_) | sightline_viewcells::Division::Tree(_) => plan
-            .tiles
-            .iter()
-            .filter(|t| t.kind == TileKind::Leaf)
-            .map(|t| t.cells)
-            .sum(),
-        sightline_viewcells::Division::Adaptive { .. } => 0,
+/// Counts the view cells or receivers of a job; 0 for an adaptive division, whose cells are not known before
+/// it is sampled.
+pub(crate) fn cells_total(job: &PlannedJob) -> u64 {
+    if let Task::Visibility(task) = &job.spec().task
+        && let Division::Adaptive { .. } = task.division()
+    {
+        return 0;
     }
+    let leaves = job.plan().tiles.iter().filter(|t| t.kind == TileKind::Leaf);
+    leaves.map(|t| t.cells).sum()
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use sightline_model::JobSpec;
+use sightline_model::PlannedJob;
 
 use crate::ids::{Digest, Epoch, JobId, Lease, WorkerId};
 
@@ -86,8 +86,8 @@ pub(crate) enum WorkerCommand {
     Time {
         /// The job.
         job: JobId,
-        /// Its specification.
-        spec: Arc<JobSpec>,
+        /// What it computes.
+        work: Arc<PlannedJob>,
     },
 }
 
@@ -96,8 +96,8 @@ pub(crate) enum WorkerCommand {
 pub(crate) struct Grant {
     /// The tile and its lease.
     pub(crate) lease: Lease,
-    /// The job's specification.
-    pub(crate) spec: Arc<JobSpec>,
+    /// What the job computes.
+    pub(crate) work: Arc<PlannedJob>,
     /// The numerics profile that the tile must be computed with.
     pub(crate) profile: String,
     /// Digests of the packs that the tile needs, in the plan's order of needed tiles; `None` for one that is
@@ -112,8 +112,8 @@ pub(crate) struct Grant {
 pub(crate) struct Help {
     /// The leader's lease.
     pub(crate) lease: Lease,
-    /// The job's specification.
-    pub(crate) spec: Arc<JobSpec>,
+    /// What the job computes.
+    pub(crate) work: Arc<PlannedJob>,
     /// The numerics profile of the job.
     pub(crate) profile: String,
 }

@@ -54,7 +54,7 @@ mod workers;
 pub(crate) use self::counts::Counts;
 pub(crate) use self::event::{Departure, Effect, Event, Failure, Note, StoreCommand};
 pub(crate) use self::ineligible::Unable;
-pub(crate) use self::job::{Job, Output, Work, cells_total};
+pub(crate) use self::job::{Job, Output, cells_total};
 #[cfg(test)]
 pub(crate) use self::messages::Grant;
 pub(crate) use self::messages::{

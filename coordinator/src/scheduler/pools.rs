@@ -7,7 +7,7 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use sightline_model::BackendChoice;
+use sightline_model::TracerChoice;
 
 use super::queue::{Queue, ServiceOrder};
 use crate::ids::{JobId, LeaseId, TileIndex, WorkerId};
@@ -27,19 +27,19 @@ pub(super) enum List {
     Unbound(Choice),
 }
 
-/// The index of a [`BackendChoice`].
+/// The index of the choice of a tracer, or of none.
 pub(super) type Choice = usize;
 
 /// Number of choices.
 pub(super) const CHOICES: usize = 4;
 
 /// The index of a choice.
-pub(super) fn index(choice: BackendChoice) -> Choice {
+pub(super) fn index(choice: Option<TracerChoice>) -> Choice {
     match choice {
-        BackendChoice::Cpu => 0,
-        BackendChoice::Gpu => 1,
-        BackendChoice::Auto => 2,
-        BackendChoice::None => 3,
+        Some(TracerChoice::Cpu) => 0,
+        Some(TracerChoice::Gpu) => 1,
+        Some(TracerChoice::Auto) => 2,
+        None => 3,
     }
 }
 

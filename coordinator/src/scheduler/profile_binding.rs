@@ -7,7 +7,7 @@ use super::messages::{Now, ProfileTime, WorkerCommand};
 use super::profile_choice::{Binding, CLEARLY, fastest, profile_for};
 use super::state::{Scheduler, Timer};
 use crate::ids::{JobId, WorkerId};
-use sightline_model::{BackendChoice, NO_PROFILE};
+use sightline_model::{NO_PROFILE, TracerChoice};
 
 /// How long a worker may take to time its backends before another worker times its own.
 const TIMING_LIMIT: u64 = 300_000;
@@ -32,7 +32,7 @@ impl Scheduler {
 
     /// Binds a job, or parks it.
     fn bind(&mut self, id: JobId, worker: WorkerId, now: Now) {
-        let Some(choice) = self.jobs.get(&id).map(|j| j.work.spec.backend) else {
+        let Some(choice) = self.jobs.get(&id).map(|j| j.work.spec().tracer()) else {
             return;
         };
         let Some(w) = self.workers.get(&worker) else {
@@ -52,9 +52,9 @@ impl Scheduler {
                 let Some(job) = self.jobs.get(&id) else {
                     return;
                 };
-                let spec = std::sync::Arc::clone(&job.work.spec);
+                let work = std::sync::Arc::clone(&job.work);
                 self.effects
-                    .push(Effect::Tell(worker, WorkerCommand::Time { job: id, spec }));
+                    .push(Effect::Tell(worker, WorkerCommand::Time { job: id, work }));
                 if let Some(w) = self.workers.get_mut(&worker) {
                     w.timing.insert(id);
                 }
@@ -71,14 +71,14 @@ impl Scheduler {
 
     /// The profiles that a job of this choice can be bound to without timing, with the number of connected
     /// workers that speak for each.
-    fn candidates(&self, choice: BackendChoice) -> Vec<(String, u64)> {
+    fn candidates(&self, choice: Option<TracerChoice>) -> Vec<(String, u64)> {
         let votes = |(profile, pool): (&super::pools::Profile, &super::pools::Pool)| {
             let votes = match choice {
-                BackendChoice::Cpu if profile.starts_with("cpu/") => pool.able,
-                BackendChoice::Gpu if profile.starts_with("gpu/") => pool.able,
-                BackendChoice::Auto => pool.alone,
-                BackendChoice::None if &**profile == NO_PROFILE => pool.able,
-                BackendChoice::Cpu | BackendChoice::Gpu | BackendChoice::None => 0,
+                Some(TracerChoice::Cpu) if profile.starts_with("cpu/") => pool.able,
+                Some(TracerChoice::Gpu) if profile.starts_with("gpu/") => pool.able,
+                Some(TracerChoice::Auto) => pool.alone,
+                None if &**profile == NO_PROFILE => pool.able,
+                Some(TracerChoice::Cpu | TracerChoice::Gpu) | None => 0,
             };
             (votes > 0).then(|| (profile.to_string(), votes))
         };
@@ -117,7 +117,7 @@ impl Scheduler {
         let Some(job) = self.jobs.get(&id) else {
             return;
         };
-        let (parked, choice) = (job.parked, job.work.spec.backend);
+        let (parked, choice) = (job.parked, job.work.spec().tracer());
         match parked {
             Some(Parked::Timing(worker)) => {
                 if let Some(w) = self.workers.get_mut(&worker) {

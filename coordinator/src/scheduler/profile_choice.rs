@@ -1,6 +1,6 @@
 //! The choice of the numerics profile that a job is bound to.
 
-use sightline_model::{BackendChoice, NO_PROFILE};
+use sightline_model::{NO_PROFILE, TracerChoice};
 
 use super::messages::ProfileTime;
 
@@ -44,13 +44,13 @@ pub(super) enum Binding {
 }
 
 /// The next step for a job without a profile when a worker with `profiles` is available.
-pub(super) fn profile_for(choice: BackendChoice, profiles: &[String]) -> Binding {
+pub(super) fn profile_for(choice: Option<TracerChoice>, profiles: &[String]) -> Binding {
     let with = |prefix: &str| profiles.iter().find(|p| p.starts_with(prefix)).cloned();
     let named = match choice {
-        BackendChoice::Cpu => with("cpu/"),
-        BackendChoice::Gpu => with("gpu/"),
-        BackendChoice::None => profiles.iter().find(|p| *p == NO_PROFILE).cloned(),
-        BackendChoice::Auto => {
+        Some(TracerChoice::Cpu) => with("cpu/"),
+        Some(TracerChoice::Gpu) => with("gpu/"),
+        None => profiles.iter().find(|p| *p == NO_PROFILE).cloned(),
+        Some(TracerChoice::Auto) => {
             let cpu = with("cpu/").is_some();
             let mut worth = profiles
                 .iter()
@@ -105,7 +105,7 @@ mod tests {
     fn backends_are_timed_only_when_there_are_several() {
         let bound = |profiles: &[&str]| {
             let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
-            match profile_for(BackendChoice::Auto, &profiles) {
+            match profile_for(Some(TracerChoice::Auto), &profiles) {
                 Binding::Bind(profile) => profile,
                 Binding::Time => "timed".to_owned(),
                 Binding::Cannot => "none".to_owned(),
@@ -118,7 +118,7 @@ mod tests {
         assert_eq!(bound(&["cpu/a", NO_PROFILE]), "cpu/a");
         let without = |profiles: &[&str]| {
             let profiles: Vec<String> = profiles.iter().map(|p| (*p).to_owned()).collect();
-            matches!(profile_for(BackendChoice::None, &profiles), Binding::Bind(p) if p == NO_PROFILE)
+            matches!(profile_for(None, &profiles), Binding::Bind(p) if p == NO_PROFILE)
         };
         assert!(without(&["cpu/a", NO_PROFILE]) && !without(&["cpu/a"]));
     }

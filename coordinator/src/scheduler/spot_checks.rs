@@ -42,7 +42,7 @@ impl Scheduler {
             return;
         };
         // With a time budget two workers do not get equally far.
-        let timed = job.work.spec.time_budget_ms > 0;
+        let timed = job.work.spec().time_budget().is_some();
         let Tile { author, hands, .. } = &job.tiles[tile.at()];
         // Who has sent it under a lease of an earlier start is not known.
         if timed || author.is_empty() || self.only.is_some() || draw.unit_f64() >= share {
@@ -62,7 +62,7 @@ impl Scheduler {
         let Some(Output::Done(kept)) = job.tiles.get(tile.at()).map(|t| t.output) else {
             return;
         };
-        if self.settings.spot_check <= 0.0 || job.work.spec.time_budget_ms > 0 {
+        if self.settings.spot_check <= 0.0 || job.work.spec().time_budget().is_some() {
             return;
         }
         let Some(name) = job.given_to(lease.id.number, tile) else {

@@ -8,12 +8,14 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 
+use sightline_model::PlannedJob;
+
 use sightline_numbers::random::SplitMix64;
 
 use super::crew::Crew;
 use super::death::{Death, DeathOf, Missing};
 use super::event::{Effect, Event, Note, StoreCommand};
-use super::job::{Job, Output, Work};
+use super::job::{Job, Output};
 use super::messages::Now;
 use super::pools::{CHOICES, Pools, Profile};
 use super::queue::{Account, User};
@@ -459,7 +461,7 @@ impl Scheduler {
 #[derive(Debug)]
 pub(crate) struct Admitted {
     /// What the job computes.
-    pub(crate) work: Arc<Work>,
+    pub(crate) work: Arc<PlannedJob>,
     /// The signature of the worker that got the lease; empty when that is not known.
     pub(crate) worker: String,
     /// Others who had a hand in the tile.

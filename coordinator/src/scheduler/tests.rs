@@ -3,13 +3,11 @@
 use super::*;
 use crate::ids::{Epoch, JobId, Lease, WorkerId};
 use crate::store::{JobPhase, JobState, MemoryStore, NewJob, SceneRecord, Store as _};
-use glam::Vec3;
+use crate::tests::life::{grid, lines};
 use prost::Message as _;
-use sightline_model::{BackendChoice, CellToCell, SamplingParams};
-use sightline_model::{JobSpec, Method};
-use sightline_scene::Aabb;
-use sightline_viewcells::Division;
+use sightline_model::{JobSpec, PlannedJob, SceneFacts};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// A machine, a store whose commands are carried out at once, and what the workers were told.
 pub(super) struct Bench {
@@ -243,30 +241,16 @@ impl Bench {
     pub(super) fn reopen(&mut self, id: JobId) {
         let record = self.store.job(id).unwrap().unwrap();
         let spec = sightline_proto::v1::JobSpec::decode(record.spec.as_slice()).unwrap();
-        let job = Job::of(record, &spec, self.store.tiles(id).unwrap()).unwrap();
+        let spec = JobSpec::from_message(&spec, &SceneFacts::default()).unwrap();
+        let work = Arc::new(PlannedJob::stored(spec));
+        let job = Job::new(record, work, self.store.tiles(id).unwrap()).unwrap();
         self.step(Event::TakenUp(Box::new(job.after_restart())));
     }
 
     /// A user submits a job of `tiles` tiles; with `ran` it ran before the coordinator started.
     pub(super) fn add(&mut self, tiles: u32, user: &str, priority: i32, ran: bool) -> JobId {
-        let spec = JobSpec {
-            scene: [7; 32],
-            division: Division::Grid([tiles, 1, 1]),
-            view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-            sampling: SamplingParams {
-                cell_to_cell: CellToCell::Off,
-                ..SamplingParams::default()
-            },
-            backend: BackendChoice::Cpu,
-            seed: self.store.jobs().unwrap().len() as u64,
-            time_budget_ms: 0,
-            block_cells: 1,
-            method: Method::Aggressive,
-            certificates: false,
-            viewpoints: None,
-            ambient: None,
-            up: None,
-        };
+        let seed = self.store.jobs().unwrap().len() as u64;
+        let spec = lines([7; 32], grid([tiles, 1, 1], 1), seed);
         let job = NewJob {
             key: spec.key(),
             request_id: String::new(),
@@ -275,7 +259,7 @@ impl Bench {
             user: user.to_owned(),
             priority,
             scene: spec.scene,
-            spec: spec.to_proto().encode_to_vec(),
+            spec: spec.to_message().encode_to_vec(),
             tiles,
             submitted_at_ms: 0,
         };
@@ -288,7 +272,8 @@ impl Bench {
                 .unwrap();
         }
         let record = self.store.job(id).unwrap().unwrap();
-        let job = Job::of(record, &spec.to_proto(), self.store.tiles(id).unwrap()).unwrap();
+        let work = Arc::new(PlannedJob::stored(spec));
+        let job = Job::new(record, work, self.store.tiles(id).unwrap()).unwrap();
         let job = if ran { job.after_restart() } else { job };
         self.step(Event::TakenUp(Box::new(job)));
         id

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use sightline_model::{BackendChoice, Choice as _};
+use sightline_model::{NamedValue as _, TracerChoice};
 
 use super::event::{Departure, Effect, Note};
 use super::job::Parked;
@@ -52,9 +52,10 @@ impl Scheduler {
         }
         let serves = |choice| !matches!(profile_for(choice, &profiles), Binding::Cannot);
         let mut of_choice = [false; CHOICES];
-        BackendChoice::ALL
-            .iter()
-            .for_each(|choice| of_choice[index(*choice)] = serves(*choice));
+        let choices = TracerChoice::ALL.iter().copied().map(Some);
+        choices
+            .chain([None])
+            .for_each(|choice| of_choice[index(choice)] = serves(choice));
         let alone = alone(&profiles);
         let worker = Worker {
             name,
@@ -227,7 +228,7 @@ impl Scheduler {
 
     /// The index of a job's choice.
     pub(super) fn choice_of(job: &super::job::Job) -> usize {
-        index(job.work.spec.backend)
+        index(job.work.spec().tracer())
     }
 }
 
@@ -242,7 +243,7 @@ fn set(list: &mut BTreeSet<WorkerId>, id: WorkerId, belongs: bool) {
 
 /// The only profile that `auto` considers for a worker with these profiles, if it considers one.
 pub(super) fn alone(profiles: &[String]) -> Option<String> {
-    match profile_for(BackendChoice::Auto, profiles) {
+    match profile_for(Some(TracerChoice::Auto), profiles) {
         Binding::Bind(profile) => Some(profile),
         Binding::Time | Binding::Cannot => None,
     }

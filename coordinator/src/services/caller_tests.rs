@@ -27,10 +27,7 @@ use crate::jobs::submit::{Submission, submit};
 use crate::lifecycle::Config;
 use crate::state::Coordinator;
 use crate::store::JobState;
-use crate::tests::life::{nameless, triangle};
-use sightline_model::JobSpec;
-use sightline_scene::Aabb;
-use sightline_viewcells::Division;
+use crate::tests::life::{nameless, one_cell, triangle};
 
 /// The kinds of callers. A certificate is a worker's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -413,8 +410,7 @@ async fn job_of_another_user_does_not_exist() {
     let c = Arc::clone(&farm.c);
     let submitted = tokio::task::spawn_blocking(move || {
         let scene = c.take_scene_of("ada", &triangle()).unwrap();
-        let view = Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-        let spec = JobSpec::new(scene, Division::Grid([1, 1, 1]), view);
+        let spec = one_cell(scene, 0);
         let (owner, user) = ("ada".to_owned(), "ada".to_owned());
         let submission = Submission {
             request_id: "one".to_owned(),

@@ -14,10 +14,9 @@ use prost::Message as _;
 use prost::encoding::{WireType, encode_key, encode_varint};
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FileDescriptorSet, MethodDescriptorProto};
-use sightline_model::JobSpec;
+use sightline_model::{GridCells, JobSpec, KnownCells, Sampler, Sampling};
 use sightline_proto::v1;
 use sightline_scene::{Aabb, Object, Scene, Triangle};
-use sightline_viewcells::Division;
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request};
 use tonic::{Code, Status};
@@ -300,14 +299,12 @@ async fn make_calls(
         count: 1,
     }];
     let scene = coordinator.take_scene(&Scene::new("fuzz", triangles, objects)?)?;
-    let spec = JobSpec::new(
-        scene,
-        Division::Grid([2, 1, 1]),
-        Aabb::new(Vec3::ZERO, Vec3::ONE),
-    );
+    let cells = GridCells::new(Aabb::new(Vec3::ZERO, Vec3::ONE), [2, 1, 1])?;
+    let sampling = Sampling::new(Sampler::lines(KnownCells::Grid(cells)));
+    let spec = JobSpec::new(scene, sightline_model::Method::aggressive(sampling));
     let known = Fixture {
         scene,
-        spec: spec.to_proto().encode_to_vec(),
+        spec: spec.to_message().encode_to_vec(),
     };
     let services = Services::new();
     let routes = Guard(Arc::clone(&coordinator)).layer(services.routes(&coordinator).await?);
@@ -315,7 +312,7 @@ async fn make_calls(
     let submitted = v1::SubmitRequest {
         request_id: "first".to_owned(),
         name: "fuzz".to_owned(),
-        spec: Some(spec.to_proto()),
+        spec: Some(spec.to_message()),
         ..Default::default()
     };
     let answer = call(

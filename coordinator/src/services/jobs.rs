@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::{Stream, StreamExt as _};
-use sightline_model::{JobSpec, Method, SceneFacts};
+use sightline_model::{JobSpec, PlannedJob, SceneFacts, SpecError};
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_scene::{Kind, Rule};
@@ -515,19 +515,8 @@ fn submission(
     r: v1::SubmitRequest,
 ) -> Result<Submission, Status> {
     let submission = draft(c, caller, r)?;
-    let scene = submission.spec.scene;
+    let scene = submission.job.spec().scene;
     scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
-    let is_culled = || {
-        scenes::facts(c, &scene)
-            .map(|f| f.culled)
-            .map_err(|e| status::of_facts(&e))
-    };
-    if submission.spec.method != Method::Aggressive && is_culled()? {
-        return Err(Status::invalid_argument(
-            "back faces of the scene are culled, and exact queries take every triangle as seen from both \
-             sides; give the method aggressive, or a scene without culling",
-        ));
-    }
     Ok(submission)
 }
 
@@ -546,7 +535,7 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         Err(e) => return Err(status::of_store(&e)),
     };
     let mut spec = spec.clone();
-    if let Some(ambient) = &mut spec.ambient {
+    if let Some(v1::job_spec::Task::Ambient(ambient)) = &mut spec.task {
         let digest = wire::digest(&ambient.receivers)?;
         let stored = receivers::known(c, caller, digest).map_err(|e| status::of_receivers(&e))?;
         let (bytes, points, lights) = (stored.bytes, stored.facts.points, stored.facts.lights);
@@ -558,19 +547,20 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
             lights,
         };
     }
-    let bounds = match spec.view_box.is_empty() && spec.ambient.is_none() {
-        true => {
-            scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
-            Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?)
-        }
-        false => None,
-    };
-    let facts = SceneFacts {
+    let mut facts = SceneFacts {
         triangles: record.map_or(0, |record| record.triangles),
-        bounds,
+        ..SceneFacts::default()
     };
-    let spec = JobSpec::from_proto(&spec, Some(facts))
-        .map_err(|e| Status::invalid_argument(e.to_string()))?;
+    let mut read = JobSpec::from_message(&spec, &facts);
+    if read == Err(SpecError::NO_VIEW_BOX) {
+        scenes::known(c, caller, scene).map_err(|e| status::of_store(&e))?;
+        // They take a pass over the triangles, so they are found where they are needed.
+        facts.bounds = Some(scenes::bounds(c, &scene).map_err(|e| status::of_facts(&e))?);
+        read = JobSpec::from_message(&spec, &facts);
+    }
+    let invalid = |e: &dyn std::fmt::Display| Status::invalid_argument(e.to_string());
+    let spec = read.map_err(|e| invalid(&e))?;
+    let job = Arc::new(PlannedJob::new(spec).map_err(|e| invalid(&e))?);
     let priority = checked_priority(r.priority)?;
     let owner = caller.owner().to_owned();
     // Users share the workers evenly, so nobody may take another's share.
@@ -585,7 +575,7 @@ fn draft(c: &Coordinator, caller: &Caller, r: v1::SubmitRequest) -> Result<Submi
         owner,
         user,
         priority,
-        spec,
+        job,
         cause: None,
     })
 }

@@ -149,7 +149,7 @@ pub(super) fn of_receivers(e: &Fault) -> Status {
 /// The status of a submission that fails.
 pub(super) fn of_submit(e: &SubmitError) -> Status {
     match e {
-        SubmitError::Spec(text) => Status::invalid_argument(text.clone()),
+        SubmitError::Spec(_) | SubmitError::Receiver(_) => Status::invalid_argument(e.to_string()),
         SubmitError::Schedule(text) => internal(text),
         SubmitError::Having(e) => of_having(e),
         SubmitError::Facts(e) => of_facts(e),

@@ -16,6 +16,7 @@ use crate::state::MissingBlob;
 use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::telemetry::events::{Entry, Kind};
 use crate::workers::lease_tags::{LeaseTags, Use};
+use sightline_model::job::message::remove_large_parts;
 
 /// A digest from the wire.
 ///
@@ -64,7 +65,7 @@ pub(super) fn order(
     let message = match order {
         WorkerCommand::Grant(grant) => Message::Grant(v1::Grant {
             lease: Some(tags.to_wire(&grant.lease, Use::Hold)),
-            spec: Some(grant.spec.to_proto()),
+            spec: Some(grant.work.spec().to_message()),
             profile: grant.profile,
             // A pack that is absent has an empty digest; the worker then reports the tile as failed.
             packs: grant
@@ -85,13 +86,13 @@ pub(super) fn order(
         }
         WorkerCommand::Help(help) => Message::Help(v1::Help {
             lease: Some(tags.to_wire(&help.lease, Use::Help)),
-            spec: Some(help.spec.to_proto()),
+            spec: Some(help.work.spec().to_message()),
             profile: help.profile,
             trace,
         }),
-        WorkerCommand::Time { job, spec } => Message::Time(v1::Time {
+        WorkerCommand::Time { job, work } => Message::Time(v1::Time {
             job: job.0,
-            spec: Some(spec.to_proto()),
+            spec: Some(work.spec().to_message()),
         }),
     };
     v1::CoordinatorMessage {
@@ -192,9 +193,10 @@ pub(super) fn job(summary: &Summary) -> v1::Job {
         name: record.name.clone(),
         // An unreadable specification is shown as absent; the record keeps its bytes. The viewpoints may be
         // large, and a list has many jobs.
-        spec: stored_spec::part(&record.spec)
-            .ok()
-            .map(|(spec, _)| without_large_parts(spec)),
+        spec: stored_spec::part(&record.spec).ok().map(|(mut spec, _)| {
+            remove_large_parts(&mut spec);
+            spec
+        }),
         profile: record.profile.clone().unwrap_or_default(),
         tiles_total: summary.tiles_total,
         tiles_done: summary.tiles_done,
@@ -386,17 +388,5 @@ pub(super) fn event(entry: &Entry) -> v1::Event {
         tile: entry.what.tile.map(|tile| tile.0),
         worker: worker_name(&entry.what.worker).to_owned(),
         text: entry.what.text.clone(),
-    }
-}
-
-/// A specification without its viewpoints and its tree of boxes.
-fn without_large_parts(spec: v1::JobSpec) -> v1::JobSpec {
-    let is_tree =
-        |division: &v1::job_spec::Division| matches!(division, v1::job_spec::Division::Tree(_));
-    let division = spec.division.filter(|division| !is_tree(division));
-    v1::JobSpec {
-        viewpoints: Vec::new(),
-        division,
-        ..spec
     }
 }

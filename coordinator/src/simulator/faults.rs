@@ -101,8 +101,11 @@ fn populate(world: &mut World, seed: u64) {
 
 /// A plan in which every tile may need some of those before it.
 fn plan(world: &mut World, tiles: u32) -> Plan {
-    let (spec, lattice) = spec();
-    let cell = spec.division.root(&lattice);
+    let spec = spec();
+    let cell = spec
+        .visibility()
+        .map(|task| task.division().root(task.lattice()))
+        .unwrap();
     let mut all = Vec::new();
     let dense = world.below(3);
     for at in 0..tiles {

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use sightline_model::JobSpec;
+use sightline_model::{GridCells, JobSpec, KnownCells, Method, Sampler, Sampling, TracerChoice};
 use sightline_scene::Aabb;
-use sightline_viewcells::{Division, Lattice};
 
 use crate::ids::{Digest, JobId, Lease, LeaseId, TileIndex, WorkerId};
 use crate::scheduler::{Event, Introduction, Progress, StoreCommand};
@@ -120,15 +119,15 @@ pub(super) enum Refusal {
     Ended,
 }
 
-/// The specification of all jobs; their plans differ.
-pub(super) fn spec() -> (JobSpec, Lattice) {
+/// Returns the specification of all jobs; their plans differ.
+pub(super) fn spec() -> JobSpec {
     let view = Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-    let spec = JobSpec {
-        backend: sightline_model::BackendChoice::Cpu,
-        ..JobSpec::new([7; 32], Division::Grid([1, 1, 1]), view)
+    let cells = GridCells::new(view, [1, 1, 1]).unwrap();
+    let sampling = Sampling {
+        tracer: TracerChoice::Cpu,
+        ..Sampling::new(Sampler::lines(KnownCells::Grid(cells)))
     };
-    let lattice = spec.lattice().unwrap();
-    (spec, lattice)
+    JobSpec::new([7; 32], Method::aggressive(sampling))
 }
 
 /// Returns the output of a tile, by a worker whose memory is broken or not.

@@ -3,12 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use sightline_model::PlannedJob;
 use sightline_numbers::random::SplitMix64;
 use sightline_viewcells::Plan;
 
 use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
 use crate::ids::{JobId, Lease, LeaseId, TileIndex};
-use crate::scheduler::{Effect, Event, Job, Now, Output, Scheduler, Work, WorkerCommand};
+use crate::scheduler::{Effect, Event, Job, Now, Output, Scheduler, WorkerCommand};
 use crate::store::{JobPhase, MemoryStore};
 
 pub(super) const TTL: u64 = 10_000;
@@ -199,15 +200,10 @@ impl World {
 
     /// A job as the store has it.
     pub(super) fn job(&self, id: JobId) -> Job {
-        let (spec, lattice) = spec();
-        let work = Work {
-            spec: Arc::new(spec),
-            lattice,
-            plan: self.plans[&id].clone(),
-        };
+        let work = PlannedJob::with_plan(spec(), self.plans[&id].clone());
         Job::with(
             self.store().job(id).unwrap().unwrap(),
-            work,
+            Arc::new(work),
             self.store().tiles(id).unwrap(),
         )
     }

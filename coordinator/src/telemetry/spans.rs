@@ -188,7 +188,7 @@ impl Spans {
             again,
             has_needs: job
                 .work
-                .plan
+                .plan()
                 .tiles
                 .iter()
                 .any(|tile| !tile.needs.is_empty()),
@@ -273,7 +273,7 @@ impl Spans {
         });
         let needs = scheduler
             .job(lease.job)
-            .map(|job| &*job.work.plan.tiles[lease.tile.at()].needs);
+            .map(|job| &*job.work.plan().tiles[lease.tile.at()].needs);
         let since = job.waits_since(lease.tile, needs.unwrap_or_default());
         let wait = job
             .span("wait", since, lease.job)

@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use glam::Vec3;
 use sightline_model::codec;
-use sightline_model::{BackendChoice, CellToCell, Hits, SamplingParams};
-use sightline_model::{CellSet, CellSets, TileOutput};
-use sightline_model::{JobSpec, Method};
+use sightline_model::numbers::TileCells;
+use sightline_model::{
+    CellSet, CellSets, CellToCell, Effort, GridCells, Hits, JobSpec, KnownCells, Method,
+    PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility,
+};
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, Object, Scene, Triangle};
-use sightline_viewcells::Division;
 use tokio::sync::mpsc;
 
 use crate::assemble::result::expected_nodes;
@@ -83,23 +84,22 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
         sightline_scene::load::load_bytes_with("mask.gltf", MASKED.as_bytes(), None, &options);
     let scene = c.take_scene(&loaded.unwrap().scene).unwrap();
     let job = |method: Method| {
-        let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
-        let spec = JobSpec {
-            method,
-            ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
-        };
+        let name = method.name();
+        let spec = JobSpec::new(scene, method);
         let submission = Submission {
-            request_id: method.to_string(),
+            request_id: name.to_string(),
             name: "masked".to_owned(),
             ..nameless(spec)
         };
         submit(&c, &submission)
     };
-    assert!(job(Method::Aggressive).is_ok());
-    for method in [Method::Exact, Method::Verified] {
-        let why = job(method).unwrap_err();
+    let cells = KnownCells::Grid(grid([1, 1, 1], 512));
+    let sampling = Sampling::new(Sampler::lines(cells));
+    assert!(job(Method::aggressive(sampling.clone())).is_ok());
+    for effort in [Effort::Full, Effort::Bounded] {
+        let why = job(Method::exact(sampling.clone(), effort)).unwrap_err();
         assert!(
-            matches!(&why, SubmitError::Spec(text) if text.contains("the method aggressive")),
+            matches!(&why, SubmitError::Spec(e) if e.to_string().contains("give aggressive")),
             "{why}"
         );
     }
@@ -107,24 +107,7 @@ fn a_scene_with_masks_is_refused_by_exact_methods() {
 
 /// Submits a job of two tiles of one cell each.
 pub(crate) fn two_tiles(c: &Arc<Coordinator>, scene: Digest) -> JobId {
-    let spec = JobSpec {
-        scene,
-        division: Division::Grid([2, 1, 1]),
-        view_box: Aabb::new(Vec3::ZERO, Vec3::ONE),
-        sampling: SamplingParams {
-            cell_to_cell: CellToCell::Off,
-            ..SamplingParams::default()
-        },
-        backend: BackendChoice::Cpu,
-        seed: 1,
-        time_budget_ms: 0,
-        block_cells: 1,
-        method: Method::Aggressive,
-        certificates: false,
-        viewpoints: None,
-        ambient: None,
-        up: None,
-    };
+    let spec = lines(scene, grid([2, 1, 1], 1), 1);
     let submission = Submission {
         request_id: "one".to_owned(),
         name: "two tiles".to_owned(),
@@ -175,9 +158,8 @@ pub(crate) fn output(grant: &Grant, visible: &[u32]) -> Vec<u8> {
 
 /// The same with this cell in place of every cell.
 pub(crate) fn output_of(grant: &Grant, cell: &CellSet) -> Vec<u8> {
-    let (lattice, plan) = grant.spec.plan().unwrap();
-    let tile = &plan.tiles[grant.lease.tile.at()];
-    let nodes = expected_nodes(&grant.spec.division, &lattice, &tile.cell, tile.depth).unwrap();
+    let tile = &grant.work.plan().tiles[grant.lease.tile.at()];
+    let nodes = expected_nodes(grant.work.visibility().unwrap(), tile).unwrap();
     let cells = (0..tile.cells).map(|_| cell.clone());
     codec::encode(&TileOutput::Cells(CellSets {
         cells: cells.collect(),
@@ -292,7 +274,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     // The outputs of the tiles are in the result and were removed.
     assert!(!c.blobs.has(blake3::hash(&empty).as_bytes()).unwrap());
     // The same job again is answered with the result, and a lost result is baked again.
-    let spec = JobSpec::clone(&grants[0].spec);
+    let spec = grants[0].work.spec().clone();
     let again = Submission {
         request_id: "two".to_owned(),
         ..nameless(spec)
@@ -356,7 +338,48 @@ fn a_job_of_another_version_is_not_retried() {
     assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
 }
 
+/// Returns the grid of cells of the unit cube that tests use, in tiles of at most so many cells.
+pub(crate) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
+    let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
+    let tile_cells = TileCells::new(tile_cells).unwrap();
+    GridCells::new(view, cells)
+        .unwrap()
+        .with_tile_cells(tile_cells)
+        .unwrap()
+}
+
+/// Returns a job of lines over a grid, on the cpu and without pairs of cells.
+pub(crate) fn lines(scene: Digest, cells: GridCells, seed: u64) -> JobSpec {
+    let sampling = Sampling {
+        tracer: TracerChoice::Cpu,
+        ..Sampling::new(Sampler::lines(KnownCells::Grid(cells)))
+    };
+    let task = Visibility {
+        pairs: CellToCell::Off,
+        seed,
+        ..Method::aggressive(sampling).into()
+    };
+    JobSpec {
+        scene,
+        task: Task::Visibility(task),
+    }
+}
+
+/// Returns a job of lines over a single cell, with the defaults of everything else.
+pub(crate) fn one_cell(scene: Digest, seed: u64) -> JobSpec {
+    let sampling = Sampling::new(Sampler::lines(KnownCells::Grid(grid([1, 1, 1], 512))));
+    let task = Visibility {
+        seed,
+        ..Method::aggressive(sampling).into()
+    };
+    JobSpec {
+        scene,
+        task: Task::Visibility(task),
+    }
+}
+
 pub(crate) fn nameless(spec: JobSpec) -> Submission {
+    let job = Arc::new(PlannedJob::new(spec).unwrap());
     let (request_id, name, owner, user) = Default::default();
     Submission {
         request_id,
@@ -364,7 +387,7 @@ pub(crate) fn nameless(spec: JobSpec) -> Submission {
         owner,
         user,
         priority: 0,
-        spec,
+        job,
         cause: None,
     }
 }

@@ -15,10 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use glam::Vec3;
-use sightline_model::{BackendChoice, JobSpec};
-use sightline_scene::Aabb;
-use sightline_viewcells::Division;
+use sightline_model::PlannedJob;
 use tokio::sync::mpsc;
 
 use crate::access::Caller;
@@ -32,6 +29,7 @@ use crate::lifecycle::{Config, tick};
 use crate::scheduler::{Event, Introduction, Progress, WorkerCommand};
 use crate::state::Coordinator;
 use crate::store::{NewJob, SceneRecord, SledStore, Store, TileResult, TileStats};
+use crate::tests::life::{grid, lines};
 use crate::workers::sessions::{self, Message};
 
 /// Tiles of one job.
@@ -61,15 +59,7 @@ fn resident() -> u64 {
 }
 
 fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
-    let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
-    let grid = Division::Grid([100, (tiles / 100) as u32, 1]);
-    let mut spec = JobSpec {
-        backend: BackendChoice::Cpu,
-        seed,
-        ..JobSpec::new([7; 32], grid, view)
-    };
-    spec.block_cells = 1;
-    spec.sampling.cell_to_cell = sightline_model::CellToCell::Off;
+    let spec = lines([7; 32], grid([100, (tiles / 100) as u32, 1], 1), seed);
     submit(
         c,
         &Submission {
@@ -78,7 +68,7 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
             owner: String::new(),
             user: String::new(),
             priority: 0,
-            spec,
+            job: Arc::new(PlannedJob::new(spec).unwrap()),
             cause: None,
         },
     )

@@ -105,8 +105,8 @@ fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     assert!(!thread.is_finished());
     c.store.invalidate_tiles(id, &[TileIndex(1)]).unwrap();
     let record = c.store.job(id).unwrap().unwrap();
-    let spec = stored_spec::whole(&*c.blobs, &record.spec).unwrap();
-    let job = Job::of(record, &spec, c.store.tiles(id).unwrap()).unwrap();
+    let work = stored_spec::whole(&*c.blobs, &record.spec).unwrap();
+    let job = Job::new(record, Arc::new(work), c.store.tiles(id).unwrap()).unwrap();
     let follow_ups = tell(&c, Event::TakenUp(Box::new(job)));
     drop(opening);
     let answer = thread.join().unwrap();

@@ -3,9 +3,6 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use sightline_model::JobSpec;
-use sightline_viewcells::Division;
-
 use crate::clock::ManualClock;
 use crate::ids::{Digest, JobId};
 use crate::jobs::control;
@@ -16,7 +13,7 @@ use crate::kept::Retention;
 use crate::state::{Coordinator, Leases};
 use crate::store::{MemoryBlobs, MemoryStore};
 use crate::telemetry::events::Kind;
-use crate::tests::life::{nameless, triangle};
+use crate::tests::life::{nameless, one_cell, triangle};
 use crate::tests::trust::alone;
 use crate::uploads::scenes;
 
@@ -53,12 +50,7 @@ fn coordinator(
 
 /// Submits a job and cancels it.
 fn ended(c: &Arc<Coordinator>, scene: Digest, seed: u64) -> JobId {
-    let view = sightline_scene::Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-    let spec = JobSpec {
-        seed,
-        ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
-    };
-    let id = submit(c, &nameless(spec)).unwrap().id;
+    let id = submit(c, &nameless(one_cell(scene, seed))).unwrap().id;
     control::cancel(c, id).unwrap();
     id
 }

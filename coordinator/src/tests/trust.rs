@@ -21,14 +21,12 @@ use crate::store::{
     Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState,
 };
 use crate::telemetry::readiness::readiness;
-use crate::tests::life::{coordinator, granted, join, nameless, output, put, two_tiles};
+use crate::tests::life::{coordinator, granted, join, nameless, one_cell, output, put, two_tiles};
 use crate::uploads::complete::UploadError;
 use crate::uploads::scenes;
 use crate::workers::quarantine;
 use crate::workers::sessions::{self, Message};
-use sightline_model::JobSpec;
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_viewcells::Division;
 
 type Orders = tokio::sync::mpsc::Receiver<WorkerCommand>;
 
@@ -308,12 +306,7 @@ fn of_user(
     scene: Digest,
     seed: u64,
 ) -> Result<JobId, SubmitError> {
-    let view = sightline_scene::Aabb::new(glam::Vec3::ZERO, glam::Vec3::ONE);
-    let spec = JobSpec {
-        seed,
-        ..JobSpec::new(scene, Division::Grid([1, 1, 1]), view)
-    };
-    let mut submission = nameless(spec);
+    let mut submission = nameless(one_cell(scene, seed));
     submission.owner = user.to_owned();
     submit(c, &submission).map(|submitted| submitted.id)
 }

@@ -7,12 +7,14 @@
 use std::error::Error;
 use std::sync::Arc;
 
-use sightline_bake::{Alone, BakeScene, Control, Watcher, run_tile};
-use sightline_model::{CellSets, JobSpec, TileOutput, codec};
+use sightline_bake::{Alone, BakeScene, Control, Inputs, Watcher, run};
+use sightline_model::{
+    CellSets, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling, TileOutput,
+    codec,
+};
 use sightline_sampling::CubeSpec;
 use sightline_sampling::embree::CpuBackend;
 use sightline_scene::generate::{Kind, Params, generate};
-use sightline_viewcells::Division;
 
 /// Watches nothing and never stops the tile.
 struct Unwatched;
@@ -36,21 +38,20 @@ pub fn bake() -> Result<CellSets, Box<dyn Error>> {
     };
     let scene = Arc::new(generate(Kind::Rooms, &params)?);
     // The defaults: sight lines, a target error of 0.0001, blocks of up to 512 cells, so one tile here.
-    let division = Division::Grid([4, 2, 4]);
-    let spec = JobSpec::new(scene.digest().0, division, scene.bounds());
-    spec.check()?;
-    let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling))?;
+    let cells = KnownCells::Grid(GridCells::new(scene.bounds(), [4, 2, 4])?);
+    let sampling = Sampling::new(Sampler::lines(cells));
+    let backend = CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&sampling.sampler))?;
+    let job = PlannedJob::new(JobSpec::new(scene.digest().0, Method::aggressive(sampling)))?;
     let control = Control {
         watcher: &Unwatched,
         deadline: None,
         crew: &Alone,
     };
-    let done = run_tile(
-        &spec,
+    let prepared = BakeScene::new(Arc::clone(&scene))?;
+    let done = run(
+        &job,
         0,
-        &BakeScene::new(Arc::clone(&scene))?,
-        &backend,
-        &[],
+        Inputs::new(&prepared).with_tracer(&backend),
         control,
     )?;
     // A worker sends these bytes to its coordinator; here they are decoded at once.

@@ -6,7 +6,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 use sightline_ambient::{Answer, Falloff, Light, Memory, Receiver, Settings, Solver};
-use sightline_model::JobSpec;
+use sightline_model::Ambient;
 use sightline_model::openness::Openness;
 use sightline_model::receivers::{self, Receivers};
 use sightline_sampling::Watcher;
@@ -23,17 +23,14 @@ use crate::scene::BakeScene;
 ///
 /// # Panics
 /// On a thread of rayon's pool, which could wait for itself.
-pub fn run_ambient_tile(
-    spec: &JobSpec,
+pub fn run(
+    ambient: &Ambient,
     number: u32,
     scene: &BakeScene,
     receivers: &Receivers,
     watcher: &dyn Watcher,
 ) -> Result<TileDone, BakeError> {
     let wrong = |reason: &str| BakeError::Tile(reason.to_owned());
-    let ambient = spec
-        .ambient
-        .ok_or_else(|| wrong("the job names no receivers"))?;
     if ambient.points as usize != receivers.receivers.len() {
         return Err(wrong("the job names other receivers than were sent"));
     }

@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 
 use sightline_exact::Limits;
-use sightline_model::{ALGORITHM_VERSION, Method};
+use sightline_model::{ALGORITHM_VERSION, Effort};
 use sightline_viewcells::CellBox;
 
 const _: () = assert!(
@@ -19,9 +19,9 @@ const _: () = assert!(
 /// more cells fewer triangles are hidden from the box.
 pub const GROUP_CELLS: RangeInclusive<usize> = 4..=8;
 
-/// Limits of a single query with [`Method::Verified`]: far above what nearly all queries take, far below what
+/// Limits of a single query with [`Effort::Bounded`]: far above what nearly all queries take, far below what
 /// the hardest take.
-const VERIFIED: Limits = Limits {
+const BOUNDED: Limits = Limits {
     regions: 1000,
     vectors: 100_000,
     splits: 32,
@@ -36,12 +36,11 @@ const SAMPLING_SHARE: u32 = 4;
 /// cells may take, as a divisor: a triangle hidden from a group is not a target for any of its cells.
 pub const GROUP_SHARE: u32 = 2;
 
-/// The limits of a single query.
-pub fn exact_limits(method: Method) -> Limits {
-    if method == Method::Verified {
-        VERIFIED
-    } else {
-        Limits::default()
+/// Returns the limits of a single query.
+pub fn exact_limits(effort: Effort) -> Limits {
+    match effort {
+        Effort::Full => Limits::default(),
+        Effort::Bounded => BOUNDED,
     }
 }
 
@@ -53,15 +52,15 @@ pub fn box_seed(at: &CellBox, seed: u64) -> u64 {
     })
 }
 
-/// The time at which sampling ends. Exact methods leave most of the time to queries.
-pub fn sampling_deadline(method: Method, deadline: Option<Instant>) -> Option<Instant> {
+/// Returns the time at which sampling ends. Where triangles are decided, most of the time is left to queries.
+pub fn sampling_deadline(is_decided: bool, deadline: Option<Instant>) -> Option<Instant> {
     let share = |end: Instant| -> Instant {
         let now = Instant::now();
         let left: Duration = end.saturating_duration_since(now);
         now + left / SAMPLING_SHARE
     };
-    match method {
-        Method::Aggressive => deadline,
-        Method::Exact | Method::Verified | Method::Portals => deadline.map(share),
+    match is_decided {
+        false => deadline,
+        true => deadline.map(share),
     }
 }

@@ -11,10 +11,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenBox, codec};
 use sightline_exact::{
-    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Places, QueryStatistics, Task, decide,
-    decide_group,
+    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Limits, Places, QueryStatistics, Task,
+    decide, decide_group,
 };
-use sightline_model::{CellSet, CellSets, Decision, DecisionStats, JobSpec};
+use sightline_model::{CellSet, CellSets, Decision, DecisionStats, Effort, Visibility};
 use sightline_numbers::Aabb;
 use sightline_portals::{Partition, sights};
 use sightline_sampling::Watcher;
@@ -25,6 +25,31 @@ use crate::cell_phase::{Undecided, decide_shared};
 use crate::choices::{GROUP_SHARE, box_seed, exact_limits};
 use crate::decide_pairs;
 use crate::groups::{CellGroup, cells_and_groups};
+use crate::scope::TileScope;
+
+/// How the cells of a tile are decided.
+pub struct Deciding<'a> {
+    /// The cells.
+    pub scope: &'a TileScope,
+    /// The limits of a single query.
+    pub limits: Limits,
+    /// Whether certificates are kept.
+    pub certificates: bool,
+    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    pub far: Option<f64>,
+}
+
+impl<'a> Deciding<'a> {
+    /// Finds how a task decides the cells of a tile.
+    pub fn new(task: &Visibility, effort: Effort, scope: &'a TileScope) -> Self {
+        Self {
+            scope,
+            limits: exact_limits(effort),
+            certificates: task.has_certificates(),
+            far: task.far.map(|far| far.get()),
+        }
+    }
+}
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
 /// decided ones. `places` is where viewpoints are, if not everywhere in the cells. Walls in the faces of
@@ -34,13 +59,13 @@ use crate::groups::{CellGroup, cells_and_groups};
 /// [`Undecided`] when the tile is cancelled, or for an error of the certificates' codec or a cell without
 /// volume.
 pub fn cells(
-    (spec, places): (&JobSpec, Option<&dyn Places>),
-    lattice: &Lattice,
+    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
     root: &CellBox,
     sets: &mut CellSets,
     (scene, partition, is_open): (&ExactScene, Option<&Partition>, bool),
     (deadline, watcher, crew): (Option<Instant>, &dyn Watcher, &dyn Crew),
 ) -> Result<(), Undecided> {
+    let lattice = &deciding.scope.lattice;
     let (boxes, mut groups) = cells_and_groups(root, &sets.nodes);
     // From cells without viewpoints nothing is asked, so they share nothing.
     groups.retain(|group| {
@@ -57,8 +82,7 @@ pub fn cells(
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
     let listed = all_listed(partition, lattice, (&boxes, sets), is_open, &stop);
     let mut around = groups_first(
-        (spec, places),
-        lattice,
+        (deciding, places),
         (&boxes, &groups),
         (sets, &listed),
         scene,
@@ -67,7 +91,7 @@ pub fn cells(
     // Pairs of cells have the same share of what is left then.
     let half = deadline.map(|d| Instant::now() + share(d));
     let stop = || watcher.cancelled() || half.is_some_and(|u| Instant::now() >= u);
-    let apart = decide_pairs::decide(spec, lattice, &exact_cells, sets, scene, &stop);
+    let apart = decide_pairs::decide(deciding, &exact_cells, sets, scene, &stop);
     around
         .iter_mut()
         .zip(apart)
@@ -78,15 +102,7 @@ pub fn cells(
         .for_each(|(around, listed)| around.listed = listed);
     let one =
         |set: &mut CellSet, at: &CellBox, around: &Around, stop: &(dyn Fn() -> bool + Sync)| {
-            cell(
-                (spec, places),
-                lattice,
-                (at, around),
-                set,
-                scene,
-                stop,
-                watcher,
-            )
+            cell((deciding, places), (at, around), set, scene, stop, watcher)
         };
     match deadline {
         None => {
@@ -129,14 +145,14 @@ pub fn cells(
 }
 
 fn cell(
-    (spec, places): (&JobSpec, Option<&dyn Places>),
-    lattice: &Lattice,
+    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
     (at, around): (&CellBox, &Around),
     set: &mut CellSet,
     scene: &ExactScene,
     stop: &(dyn Fn() -> bool + Sync),
     watcher: &dyn Watcher,
 ) -> Result<(), String> {
+    let lattice = &deciding.scope.lattice;
     let apart = around.apart.clone();
     if set.unreached {
         // Nothing is asked about triangles.
@@ -161,9 +177,9 @@ fn cell(
         seen: &set.visible,
         above: &around.hidden,
         listed: around.listed.as_deref(),
-        limits: exact_limits(spec.method),
-        seed: box_seed(at, spec.seed),
-        keep: spec.certificates,
+        limits: deciding.limits.clone(),
+        seed: box_seed(at, deciding.scope.seed),
+        keep: deciding.certificates,
         stop,
         asked: &|| watcher.rendered(1),
     });
@@ -171,14 +187,14 @@ fn cell(
     decided.certificate.shared = around.shared.clone();
     decided.certificate.above = around.above;
     decided.certificate.apart = apart;
-    let certificate = match spec.certificates {
+    let certificate = match deciding.certificates {
         true => codec::encode(&decided.certificate).map_err(|e| e.to_string())?,
         false => Vec::new(),
     };
     set.visible = decided.visible;
     set.visible.extend(&decided.undecided);
     set.visible.sort_unstable();
-    if let Some(far) = spec.sampling.far {
+    if let Some(far) = deciding.far {
         let near = |id: &u32| is_within(scene, *id, at.world(lattice), far);
         set.visible.retain(near);
         decided.undecided.retain(near);
@@ -253,8 +269,7 @@ fn all_listed(
 
 /// Finds the triangles that are hidden from the box around each cell group.
 fn groups_first(
-    (spec, places): (&JobSpec, Option<&dyn Places>),
-    lattice: &Lattice,
+    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
     (cells, groups): (&[CellBox], &[CellGroup]),
     (sets, listed): (&CellSets, &[Option<Vec<u32>>]),
     scene: &ExactScene,
@@ -262,7 +277,7 @@ fn groups_first(
 ) -> Result<Vec<Around>, String> {
     let cells = cells
         .iter()
-        .map(|at| exact_cell(at, lattice))
+        .map(|at| exact_cell(at, &deciding.scope.lattice))
         .collect::<Result<Vec<_>, _>>()?;
     let seen: Vec<&[u32]> = sets
         .cells
@@ -285,9 +300,9 @@ fn groups_first(
             places,
             seen: &seen[range.clone()],
             listed: listed.get(range.clone()).unwrap_or_default(),
-            limits: exact_limits(spec.method),
-            seed: box_seed(at, spec.seed),
-            keep: spec.certificates,
+            limits: deciding.limits.clone(),
+            seed: box_seed(at, deciding.scope.seed),
+            keep: deciding.certificates,
             stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),
             asked: &|| watcher.rendered(1),
         });
@@ -298,9 +313,9 @@ fn groups_first(
         let hidden = Arc::new(hidden);
         for k in range.clone() {
             around[k].hidden = Arc::clone(&hidden);
-            around[k].above = spec.certificates.then_some((k - range.start) as u32);
+            around[k].above = deciding.certificates.then_some((k - range.start) as u32);
         }
-        around[range.start].shared = spec.certificates.then_some(shared);
+        around[range.start].shared = deciding.certificates.then_some(shared);
     }
     Ok(around)
 }

@@ -10,12 +10,12 @@ use std::ops::ControlFlow;
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::HiddenBox;
-use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, box_from_cell};
-use sightline_model::{CellSets, JobSpec, PairTable};
+use sightline_exact::{Cell, Cost, ExactScene, Found, box_from_cell};
+use sightline_model::{CellSets, PairTable};
 use sightline_numbers::Aabb;
-use sightline_viewcells::{CellBox, Division, Lattice, UNITS_PER_CELL};
+use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL};
 
-use crate::choices::exact_limits;
+use crate::decide::Deciding;
 
 /// Part of a distance that covers the rounding of its computation in doubles.
 const MARGIN: f64 = 1e-12;
@@ -30,8 +30,7 @@ struct Decided {
 
 /// Decides the pairs of a tile's cells, adds them to `sets`, and returns the proofs of each cell.
 pub fn decide(
-    spec: &JobSpec,
-    lattice: &Lattice,
+    deciding: &Deciding<'_>,
     cells: &[(CellBox, Cell)],
     sets: &mut CellSets,
     scene: &ExactScene,
@@ -42,18 +41,16 @@ pub fn decide(
         return nothing();
     };
     let mut hidden = PairTable::empty(pairs.seen.cells());
-    let Division::Grid(sides) = spec.division else {
+    let Division::Grid(sides) = deciding.scope.division else {
         pairs.hidden = Some(hidden);
         return nothing();
     };
     let walk = Walk {
-        spec,
-        lattice,
+        deciding,
         sides,
         seen: &pairs.seen,
         scene,
         stop,
-        limits: exact_limits(spec.method),
     };
     let found: Vec<Decided> = cells
         .par_iter()
@@ -80,13 +77,11 @@ pub fn decide(
 }
 
 struct Walk<'a> {
-    spec: &'a JobSpec,
-    lattice: &'a Lattice,
+    deciding: &'a Deciding<'a>,
     sides: [u32; 3],
     seen: &'a PairTable,
     scene: &'a ExactScene,
     stop: &'a (dyn Fn() -> bool + Sync),
-    limits: Limits,
 }
 
 impl Walk<'_> {
@@ -108,10 +103,9 @@ impl Walk<'_> {
     }
 
     fn is_reached(&self, cell: u32) -> bool {
-        self.spec
-            .viewpoints
-            .as_ref()
-            .is_none_or(|marks| marks.of(cell as usize) != 0)
+        let mask = &self.deciding.scope.mask;
+        mask.as_ref()
+            .is_none_or(|mask| mask.parts(cell as usize) != 0)
     }
 
     fn from(&self, at: &CellBox, cell: Cell) -> Decided {
@@ -119,7 +113,11 @@ impl Walk<'_> {
         let own = self.number(at);
         // A stop leaves the rest undecided.
         let _ = self.below(
-            &self.spec.division.root(self.lattice),
+            &self
+                .deciding
+                .scope
+                .division
+                .root(&self.deciding.scope.lattice),
             0,
             (at, own, cell),
             &mut out,
@@ -130,8 +128,7 @@ impl Walk<'_> {
     /// Whether every point of a box is farther from every point of another one than the job's lines reach.
     fn is_beyond(&self, a: &CellBox, b: &CellBox) -> bool {
         let gap = |a: [f64; 2], b: [f64; 2]| (b[0] - a[1]).max(a[0] - b[1]).max(0.0);
-        self.spec
-            .sampling
+        self.deciding
             .far
             .is_some_and(|far| self.distance(a, b, gap) > far * (1.0 + MARGIN))
     }
@@ -139,15 +136,14 @@ impl Walk<'_> {
     /// Whether all their points are so near to each other that lines between them are not ended.
     fn is_within(&self, a: &CellBox, b: &CellBox) -> bool {
         let most = |a: [f64; 2], b: [f64; 2]| (b[1] - a[0]).max(a[1] - b[0]);
-        self.spec
-            .sampling
+        self.deciding
             .far
             .is_none_or(|far| self.distance(a, b, most) < far * (1.0 - MARGIN))
     }
 
     /// The length of the vector whose components `of` gives from the sides of two boxes along each axis.
     fn distance(&self, a: &CellBox, b: &CellBox, of: impl Fn([f64; 2], [f64; 2]) -> f64) -> f64 {
-        let [a, b] = [a, b].map(|of| of.world(self.lattice));
+        let [a, b] = [a, b].map(|of| of.world(&self.deciding.scope.lattice));
         let sides =
             |(min, max): (Vec3, Vec3), axis: usize| [f64::from(min[axis]), f64::from(max[axis])];
         (0..3)
@@ -177,20 +173,24 @@ impl Walk<'_> {
         if !any {
             return ControlFlow::Continue(());
         }
-        let split = self.spec.division.split(self.lattice, of, depth);
-        let (min, max) = of.world(self.lattice);
+        let split = self
+            .deciding
+            .scope
+            .division
+            .split(&self.deciding.scope.lattice, of, depth);
+        let (min, max) = of.world(&self.deciding.scope.lattice);
         if all && self.is_beyond(at, of) {
             out.hidden.extend(self.numbers(of));
             return ControlFlow::Continue(());
         }
         if all {
             let mut cost = Cost::default();
-            let limits = (&self.limits, self.stop as &dyn Fn() -> bool);
+            let limits = (&self.deciding.limits, self.stop as &dyn Fn() -> bool);
             let bounds = Aabb { min, max };
             match box_from_cell(self.scene.occluders(), cell, bounds, limits, &mut cost) {
                 Some(Found::Hidden(proofs)) => {
                     out.hidden.extend(self.numbers(of));
-                    if self.spec.certificates {
+                    if self.deciding.certificates {
                         out.proofs.push(HiddenBox { bounds, proofs });
                     }
                     return ControlFlow::Continue(());

@@ -7,19 +7,21 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use sightline_exact::{Task, decide_listed};
-use sightline_model::{CellSet, CellSets, Decision, JobSpec, Node, TileOutput, codec};
+use sightline_model::{
+    CellSet, CellSets, Decision, Effort, Node, PlannedJob, TileOutput, Visibility, codec,
+};
 use sightline_portals::{NoPartition, OpenFaces, Partition, table};
 use sightline_pvs::Portals;
 use sightline_scene::Scene;
-use sightline_viewcells::{CellBox, Lattice, Tile, TileKind};
+use sightline_viewcells::CellBox;
 
-use crate::boxes::of_box;
 use crate::cell_phase::decide_shared;
 use crate::choices::{box_seed, exact_limits};
 use crate::decide::{exact_cell, is_within, listed, statistics};
 use crate::groups::cells_and_groups;
 use crate::outcome::{BakeError, Control, TileDone, tile_error};
 use crate::scene::BakeScene;
+use crate::scope::TileScope;
 use crate::within::Within;
 
 /// Computes tile `number` of a job of the method portals.
@@ -29,42 +31,30 @@ use crate::within::Within;
 ///
 /// # Panics
 /// On a thread of rayon's pool, which could wait for itself.
-pub fn run_portal_tile(
-    spec: &JobSpec,
+pub fn run(
+    job: &PlannedJob,
+    task: &Visibility,
     number: u32,
     scene: &BakeScene,
     control: Control<'_>,
 ) -> Result<TileDone, BakeError> {
-    let whole = spec;
-    let (lattice, plan) = whole.plan().map_err(tile_error)?;
-    let tile = plan
-        .tiles
-        .get(number as usize)
-        .filter(|tile| tile.kind == TileKind::Leaf);
-    let tile =
-        tile.ok_or_else(|| BakeError::Tile("the plan has no such tile of cells".to_owned()))?;
-    let own = of_box(whole, &lattice, tile).map_err(tile_error)?;
-    let (spec, (lattice, plan), at) = match &own {
-        // The job of a box has one tile.
-        Some(own) => (own, own.plan().map_err(tile_error)?, 0),
-        None => (whole, (lattice, plan), number),
-    };
-    let tile = &plan.tiles[at as usize];
-    let within = Within::of(spec, scene.scene()).map_err(tile_error)?;
-    let sets = empty_cells(spec, &lattice, tile);
+    let scope = TileScope::new(job, task, number)?;
+    let (tile, lattice) = (&scope.tile, &scope.lattice);
+    let within = Within::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
+    let sets = empty_cells(&scope);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
     let watcher = control.watcher;
     let late = || control.deadline.is_some_and(|end| Instant::now() >= end);
-    let partition = match scene.partition(whole, &|| watcher.cancelled() || late()) {
+    let partition = match scene.partition(task, &|| watcher.cancelled() || late()) {
         // What was not looked for in time may be seen.
         Err(NoPartition::Stopped) => None,
         made => Some(made.map_err(tile_error)?),
     };
     let exact = scene.exact().map_err(BakeError::Tile)?;
     let places = within.as_ref().map(Within::places);
-    let faces = own
-        .as_ref()
-        .map(|own| OpenFaces::new(scene.scene(), own.view_box, places));
+    let faces = scope
+        .is_open
+        .then(|| OpenFaces::new(scene.scene(), scope.view_box, places));
     let places = faces.as_ref().map(|faces| faces as _).or(places);
     let compute = |item: usize, stop: &(dyn Fn() -> bool + Sync)| -> Result<CellSet, String> {
         let mut set = sets.cells[item].clone();
@@ -72,21 +62,21 @@ pub fn run_portal_tile(
             set.decision = Some(Decision::default());
             return Ok(set);
         }
-        let world = boxes[item].world(&lattice);
+        let world = boxes[item].world(lattice);
         let all = || (0..scene.scene().len()).collect();
         let found = partition
             .as_ref()
-            .and_then(|p| listed(p, world, own.is_some(), stop))
+            .and_then(|p| listed(p, world, scope.is_open, stop))
             .unwrap_or_else(all);
         let decided = decide_listed(&Task {
             scene: exact,
-            cell: exact_cell(&boxes[item], &lattice)?,
+            cell: exact_cell(&boxes[item], lattice)?,
             places,
             seen: &[],
             above: &[],
             listed: Some(&found),
-            limits: exact_limits(spec.method),
-            seed: box_seed(&boxes[item], spec.seed),
+            limits: exact_limits(Effort::Full),
+            seed: box_seed(&boxes[item], scope.seed),
             keep: false,
             stop,
             asked: &|| {},
@@ -96,8 +86,8 @@ pub fn run_portal_tile(
         set.visible = decided.visible;
         set.visible.extend(&undecided);
         set.visible.sort_unstable();
-        if let Some(far) = spec.sampling.far {
-            let near = |id: &u32| is_within(exact, *id, world, far);
+        if let Some(far) = task.far {
+            let near = |id: &u32| is_within(exact, *id, world, far.get());
             set.visible.retain(near);
             undecided.retain(near);
         }
@@ -170,11 +160,11 @@ pub fn encoded(partition: Option<&Partition>, scene: &Scene) -> Vec<u8> {
 }
 
 /// The cells of a tile, before anything is known but which have viewpoints.
-fn empty_cells(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> CellSets {
+fn empty_cells(scope: &TileScope) -> CellSets {
     let mut sets = CellSets::default();
-    let mut open: Vec<(CellBox, u32)> = vec![(tile.cell, tile.depth)];
+    let mut open: Vec<(CellBox, u32)> = vec![(scope.tile.cell, scope.tile.depth)];
     while let Some((at, depth)) = open.pop() {
-        match spec.division.split(lattice, &at, depth) {
+        match scope.division.split(&scope.lattice, &at, depth) {
             Some(split) => {
                 sets.nodes.push(Node::Split(split));
                 let [below, above] = at.children(split);
@@ -182,7 +172,7 @@ fn empty_cells(spec: &JobSpec, lattice: &Lattice, tile: &Tile) -> CellSets {
             }
             None => {
                 sets.nodes.push(Node::Cell);
-                let unreached = spec.marks(lattice, &at) == 0;
+                let unreached = scope.marks(&at) == 0;
                 sets.cells.push(CellSet {
                     unreached,
                     ..CellSet::default()

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use sightline_ambient::Prepared;
 use sightline_exact::ExactScene;
-use sightline_model::JobSpec;
+use sightline_model::Visibility;
 use sightline_numbers::Aabb;
 use sightline_portals::{Limits, NoPartition, Partition};
 use sightline_sampling::PreparedScene;
@@ -22,7 +22,7 @@ pub struct BakeScene {
 }
 
 /// Where viewpoints are: the view box and the region.
-type Within = (Aabb, Option<Region>);
+type Within = (Aabb, Option<Arc<Region>>);
 
 impl BakeScene {
     /// Takes up `scene`.
@@ -96,26 +96,27 @@ impl BakeScene {
     /// [`NoPartition`].
     pub fn partition(
         &self,
-        spec: &JobSpec,
+        task: &Visibility,
         stop: &dyn Fn() -> bool,
     ) -> Result<Arc<Partition>, NoPartition> {
         assert!(
             rayon::current_thread_index().is_none(),
             "a thread of the pool could wait for itself here"
         );
-        let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
+        let (view_box, region) = (task.view_box(), task.viewpoints().region());
         let mut last = self
             .partition
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        if let Some(((view_box, of), partition)) = &*last
-            && (*view_box, of.as_ref()) == (spec.view_box, region)
+        if let Some(((of_box, of), partition)) = &*last
+            && (*of_box, of.as_ref()) == (view_box, region)
         {
             return Ok(Arc::clone(partition));
         }
-        let made = Partition::new(self.scene(), region, spec.view_box, Limits::default(), stop)?;
+        let within = region.map(|region| &**region);
+        let made = Partition::new(self.scene(), within, view_box, Limits::default(), stop)?;
         let made = Arc::new(made);
-        *last = Some(((spec.view_box, region.cloned()), Arc::clone(&made)));
+        *last = Some(((view_box, region.cloned()), Arc::clone(&made)));
         Ok(made)
     }
 }

@@ -1,7 +1,7 @@
 //! The region that holds all viewpoints of a job, for the sampler and for exact queries.
 
 use glam::Vec3;
-use sightline_model::JobSpec;
+use sightline_model::Viewpoints;
 use sightline_numbers::Aabb;
 use sightline_portals::{ForeignRegion, Reached};
 use sightline_scene::Scene;
@@ -10,13 +10,13 @@ use sightline_scene::Scene;
 pub struct Within(Reached);
 
 impl Within {
-    /// The region of a job with its planes; `None` when viewpoints are not restricted to one.
+    /// Prepares the region of a job with its planes; `None` when viewpoints are not restricted to one.
     ///
     /// # Errors
     /// [`ForeignRegion`].
-    pub fn of(spec: &JobSpec, scene: &Scene) -> Result<Option<Self>, ForeignRegion> {
-        let region = spec.viewpoints.as_ref().and_then(|marks| marks.region());
-        region
+    pub fn of(viewpoints: &Viewpoints, scene: &Scene) -> Result<Option<Self>, ForeignRegion> {
+        viewpoints
+            .region()
             .map(|region| Reached::new(region, scene).map(Self))
             .transpose()
     }

@@ -16,12 +16,15 @@ use std::sync::Arc;
 use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, PackBytes, run_portal_tile, run_tile};
-use sightline_model::{BackendChoice, CellToCell, JobSpec, Method, Sampler, TileOutput, codec};
+use sightline_bake::{Alone, BakeScene, Control, Inputs, PackBytes, run};
+use sightline_model::numbers::Resolution;
+use sightline_model::{
+    CellToCell, CubeCells, CubeGrid, CubeParams, Effort, GridCells, JobSpec, KnownCells, Method,
+    PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility, codec,
+};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{MAX_COORDINATE, Object, Scene, Triangle};
-use sightline_viewcells::Division;
 
 /// Returns rooms whose largest coordinate is below 1, times a power of two.
 fn scaled(power: i32) -> Arc<Scene> {
@@ -43,48 +46,70 @@ fn scaled(power: i32) -> Arc<Scene> {
     Arc::new(Scene::new("rooms", triangles, rooms.objects().to_vec()).unwrap())
 }
 
-fn spec(scene: &Scene, method: Method, sampler: Sampler) -> JobSpec {
-    let mut spec = JobSpec::new(scene.digest().0, Division::Grid([2, 2, 1]), scene.bounds());
-    spec.backend = if method == Method::Portals {
-        BackendChoice::None
-    } else {
-        BackendChoice::Cpu
+fn grid(scene: &Scene) -> KnownCells {
+    KnownCells::Grid(GridCells::new(scene.bounds(), [2, 2, 1]).unwrap())
+}
+
+fn sampling(sampler: Sampler) -> Sampling {
+    Sampling {
+        tracer: TracerChoice::Cpu,
+        ..Sampling::new(sampler)
+    }
+}
+
+fn aggressive(scene: &Scene) -> Method {
+    Method::aggressive(sampling(Sampler::lines(grid(scene))))
+}
+
+fn exact(scene: &Scene) -> Method {
+    Method::exact(sampling(Sampler::lines(grid(scene))), Effort::Full)
+}
+
+fn portals(scene: &Scene) -> Method {
+    Method::portals(grid(scene))
+}
+
+fn cubes(scene: &Scene) -> Method {
+    let cells = CubeCells::Grid(CubeGrid::new(scene.bounds(), [2, 2, 1]).unwrap());
+    let params = CubeParams {
+        resolution: Resolution::new(64).unwrap(),
+        ..CubeParams::default()
     };
-    spec.method = method;
-    spec.sampling.sampler = sampler;
-    spec.sampling.cell_to_cell = CellToCell::Off;
-    spec.sampling.resolution = 64;
-    spec
+    Method::aggressive(sampling(Sampler::Cubes { cells, params }))
 }
 
 /// Returns the sets of all cells.
-fn sets(scene: &Arc<Scene>, spec: &JobSpec) -> Option<Vec<Vec<u32>>> {
-    spec.check().unwrap();
+fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
+    let task = Visibility {
+        pairs: CellToCell::Off,
+        ..method.into()
+    };
+    let job = PlannedJob::new(JobSpec {
+        scene: scene.digest().0,
+        task: Task::Visibility(task),
+    });
+    let job = job.unwrap();
     let control = Control {
         watcher: &Quiet,
         deadline: None,
         crew: &Alone,
     };
     let prepared = BakeScene::new(Arc::clone(scene)).unwrap();
-    let (_, plan) = spec.plan().unwrap();
     let mut outputs: Vec<Vec<u8>> = Vec::new();
-    for (number, tile) in (0u32..).zip(&plan.tiles) {
-        let done = if spec.method == Method::Portals {
-            run_portal_tile(spec, number, &prepared, control)
-        } else {
-            let needed = tile
-                .needs
-                .iter()
-                .map(|n| PackBytes::Present(&outputs[*n as usize]));
-            run_tile(
-                spec,
-                number,
-                &prepared,
-                &cpu(scene, spec)?,
-                &needed.collect::<Vec<_>>(),
-                control,
-            )
+    for (number, tile) in (0u32..).zip(&job.plan().tiles) {
+        let needed = tile.needs.iter();
+        let packs: Vec<PackBytes<'_>> = needed
+            .map(|n| PackBytes::Present(&outputs[*n as usize]))
+            .collect();
+        let backend = match job.spec().tracer() {
+            Some(_) => Some(cpu(scene, job.spec())?),
+            None => None,
         };
+        let inputs = Inputs {
+            tracer: backend.as_ref().map(|backend| backend as _),
+            ..Inputs::new(&prepared).with_packs(&packs)
+        };
+        let done = run(&job, number, inputs, control);
         outputs.push(done.unwrap().bytes);
     }
     let mut all = Vec::new();
@@ -99,19 +124,19 @@ fn sets(scene: &Arc<Scene>, spec: &JobSpec) -> Option<Vec<Vec<u32>>> {
 #[test]
 fn scenes_of_all_sizes_have_their_sets() {
     // Coordinates up to 5.4e8, and a width of 1.9e-9.
-    let of = |power, method| {
+    let of = |power, method: fn(&Scene) -> Method| {
         let scene = scaled(power);
-        sets(&scene, &spec(&scene, method, Sampler::Lines))
+        sets(&scene, method(&scene))
     };
-    let Some(exact) = of(0, Method::Exact) else {
+    let Some(decided) = of(0, exact) else {
         return;
     };
-    let portals = of(0, Method::Portals).unwrap();
+    let by_portals = of(0, portals).unwrap();
     for power in [0, 29, -28] {
-        assert_eq!(of(power, Method::Exact).unwrap(), exact, "2^{power}");
-        assert_eq!(of(power, Method::Portals).unwrap(), portals, "2^{power}");
+        assert_eq!(of(power, exact).unwrap(), decided, "2^{power}");
+        assert_eq!(of(power, portals).unwrap(), by_portals, "2^{power}");
         // Samples are drawn by the digest of the scene, so that each size has others.
-        for (sampled, exact) in of(power, Method::Aggressive).unwrap().iter().zip(&exact) {
+        for (sampled, exact) in of(power, aggressive).unwrap().iter().zip(&decided) {
             let strange: Vec<_> = sampled
                 .iter()
                 .filter(|id| exact.binary_search(id).is_err())
@@ -131,7 +156,7 @@ fn scenes_of_all_sizes_have_their_sets() {
 fn cubes_see_scenes_of_all_sizes() {
     for power in [29, 0, -28] {
         let scene = scaled(power);
-        let Some(sets) = sets(&scene, &spec(&scene, Method::Aggressive, Sampler::Cubes)) else {
+        let Some(sets) = sets(&scene, cubes(&scene)) else {
             return;
         };
         assert!(sets.iter().all(|set| set.len() > 10), "2^{power}: {sets:?}");
@@ -171,10 +196,7 @@ fn vertex_beyond_largest_coordinate_is_refused_by_its_triangle() {
 fn scene_too_small_for_embree_is_refused_without_crash() {
     for power in [-31, -60, -100] {
         let scene = scaled(power);
-        match CpuBackend::new(
-            Arc::clone(&scene),
-            CubeSpec::of(&JobSpec::new([0; 32], Division::Grid([1; 3]), scene.bounds()).sampling),
-        ) {
+        match CpuBackend::new(Arc::clone(&scene), CubeSpec::new(&CubeParams::default())) {
             Err(BackendError::Unavailable(why)) if why.contains("Embree") => {
                 assert!(std::env::var_os("CI").is_none(), "{why}");
                 return;
@@ -203,13 +225,18 @@ fn scenes_without_extent_are_baked() {
             count,
         }];
         let scene = Arc::new(Scene::new("flat", triangles, objects).unwrap());
-        for method in [Method::Exact, Method::Aggressive] {
-            let mut spec = spec(&scene, method, Sampler::Lines);
-            spec.view_box = sightline_scene::Aabb::new(Vec3::splat(-1.0), Vec3::splat(4.0));
-            let Some(sets) = sets(&scene, &spec) else {
+        let view_box = sightline_scene::Aabb::new(Vec3::splat(-1.0), Vec3::splat(4.0));
+        let cells = GridCells::new(view_box, [2, 2, 1]).unwrap();
+        let sampling = sampling(Sampler::lines(KnownCells::Grid(cells)));
+        for method in [
+            Method::aggressive(sampling.clone()),
+            Method::exact(sampling.clone(), Effort::Full),
+        ] {
+            let name = method.name();
+            let Some(sets) = sets(&scene, method) else {
                 return;
             };
-            assert_eq!(sets.len(), 4, "{method:?}");
+            assert_eq!(sets.len(), 4, "{name}");
         }
     }
 }

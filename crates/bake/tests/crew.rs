@@ -12,13 +12,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
-use sightline_bake::{Alone, BakeError, BakeScene, Control, Crew, Watcher, run_tile};
-use sightline_model::{CellToCell, Granularity, JobSpec, Method, Sampler};
+use sightline_bake::{Alone, BakeError, BakeScene, Control, Crew, Inputs, Watcher};
+use sightline_model::numbers::{MaxError, MinShare, RayCount, TargetError, TriangleBudget};
+use sightline_model::{
+    Adaptive, CellToCell, Effort, Granularity, GridCells, JobSpec, KnownCells, LineAim, Method,
+    PlannedJob, Sampler, Sampling, Stop, Task, Visibility,
+};
 use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
 use sightline_sampling::{Backend, BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
-use sightline_viewcells::Division;
 
 /// A watcher that can be told to stop.
 #[derive(Default)]
@@ -42,26 +45,48 @@ impl Watcher for Watch {
 
 /// A job and all that is needed to run its first tile.
 struct Job {
-    spec: JobSpec,
+    planned: PlannedJob,
     scene: BakeScene,
     backend: Box<dyn Backend>,
 }
 
 /// A town of a few houses with furniture; `None` without Embree. Under `CI` a missing Embree is a failure.
-fn job(change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
+fn job(make: impl FnOnce(KnownCells) -> Visibility) -> Option<Job> {
     let params = Params {
         triangles: Some(20_000),
         seed: 3,
         ..Params::default()
     };
-    job_of(Arc::new(generate(Kind::Town, &params).unwrap()), change)
+    job_of(Arc::new(generate(Kind::Town, &params).unwrap()), make)
 }
 
-fn job_of(scene: Arc<Scene>, change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
-    let mut spec = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
-    spec.sampling.target_error = 2e-3;
-    change(&mut spec);
-    let backend = match CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&spec.sampling)) {
+/// Returns the task of lines that aim at this error.
+fn lines(cells: KnownCells, error: f64, stop: Stop) -> Visibility {
+    let error = TargetError::new(error).unwrap();
+    let aim = LineAim::Known { cells, error, stop };
+    Method::aggressive(Sampling::new(Sampler::Lines { aim, time: None })).into()
+}
+
+fn plain(cells: KnownCells) -> Visibility {
+    lines(cells, 2e-3, Stop::Expected)
+}
+
+fn with_pairs(cells: KnownCells) -> Visibility {
+    Visibility {
+        pairs: CellToCell::On,
+        ..plain(cells)
+    }
+}
+
+fn job_of(scene: Arc<Scene>, make: impl FnOnce(KnownCells) -> Visibility) -> Option<Job> {
+    let cells = KnownCells::Grid(GridCells::new(scene.bounds(), [4, 4, 2]).unwrap());
+    let task = make(cells);
+    let cubes = CubeSpec::of(&task.sampling().unwrap().sampler);
+    let spec = JobSpec {
+        scene: scene.digest().0,
+        task: Task::Visibility(task),
+    };
+    let backend = match CpuBackend::new(Arc::clone(&scene), cubes) {
         Ok(backend) => Box::new(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");
@@ -70,7 +95,7 @@ fn job_of(scene: Arc<Scene>, change: impl FnOnce(&mut JobSpec)) -> Option<Job> {
         Err(e) => panic!("{e}"),
     };
     Some(Job {
-        spec,
+        planned: PlannedJob::new(spec).unwrap(),
         scene: BakeScene::new(scene).unwrap(),
         backend,
     })
@@ -83,7 +108,8 @@ impl Job {
             deadline: None,
             crew,
         };
-        run_tile(&self.spec, 0, &self.scene, &*self.backend, &[], control).map(|done| done.bytes)
+        let inputs = Inputs::new(&self.scene).with_tracer(&*self.backend);
+        sightline_bake::run(&self.planned, 0, inputs, control).map(|done| done.bytes)
     }
 
     fn alone(&self) -> (Vec<u8>, u64) {
@@ -285,7 +311,7 @@ fn crewed_phases(
 
 #[test]
 fn helpers_of_all_kinds_change_no_byte() {
-    let Some(job) = job(|_| {}) else { return };
+    let Some(job) = job(plain) else { return };
     let (expected, _) = job.alone();
     for helpers in [
         &[(Helps::Well, 0)][..],
@@ -305,26 +331,39 @@ fn helpers_of_all_kinds_change_no_byte() {
 
 #[test]
 fn every_kind_of_lines_can_be_shared() {
-    type Change = fn(&mut JobSpec);
-    let changes: [(&str, Change); 6] = [
-        ("bound", |s| s.sampling.max_error = Some(5e-3)),
-        ("pairs", |s| s.sampling.cell_to_cell = CellToCell::On),
-        ("clusters", |s| {
-            s.sampling.granularity = Granularity::Clusters
+    type Make = fn(KnownCells) -> Visibility;
+    let makers: [(&str, Make); 6] = [
+        ("bound", |cells| {
+            lines(cells, 2e-3, Stop::Bound(MaxError::new(5e-3).unwrap()))
         }),
-        ("shares", |s| s.sampling.min_share = Some(1e-3)),
-        ("tree", |s| {
-            s.division = Division::Adaptive {
-                budget: 3000,
-                max_depth: 9,
-            }
+        ("pairs", with_pairs),
+        ("clusters", |cells| {
+            let sampling = plain(cells).sampling().unwrap().clone();
+            let items = Granularity::Clusters;
+            Method::Aggressive { sampling, items }.into()
         }),
-        ("guided", |s| {
-            (s.sampling.sampler, s.sampling.rays) = (Sampler::Guided, 4000)
+        ("shares", |cells| {
+            lines(cells, 2e-3, Stop::Share(MinShare::new(1e-3).unwrap()))
+        }),
+        ("tree", |cells| {
+            let budget = TriangleBudget::new(3000).unwrap();
+            let cells = Adaptive::new(plain(cells).view_box(), budget, 9).unwrap();
+            let error = TargetError::new(2e-3).unwrap();
+            let aim = LineAim::Adaptive { cells, error };
+            Method::aggressive(Sampling::new(Sampler::Lines { aim, time: None })).into()
+        }),
+        ("guided", |cells| {
+            let rays = RayCount::new(4000).unwrap();
+            let sampler = Sampler::Guided {
+                cells,
+                rays,
+                time: None,
+            };
+            Method::aggressive(Sampling::new(sampler)).into()
         }),
     ];
-    for (name, change) in changes {
-        let Some(job) = job(change) else { return };
+    for (name, make) in makers {
+        let Some(job) = job(make) else { return };
         let (bytes, ..) = crewed(&job, &[(Helps::Well, 0), (Helps::Well, 10)], &[]);
         assert!(bytes == job.alone().0, "{name}");
     }
@@ -332,7 +371,7 @@ fn every_kind_of_lines_can_be_shared() {
 
 #[test]
 fn a_block_goes_on_from_any_outcome_and_casts_no_ray_again() {
-    let Some(job) = job(|s| s.sampling.cell_to_cell = CellToCell::On) else {
+    let Some(job) = job(with_pairs) else {
         return;
     };
     let (expected, rays) = job.alone();
@@ -386,11 +425,16 @@ fn exact_cells_are_decided_by_helpers_and_never_again() {
         },
     )
     .unwrap();
-    let exact = |s: &mut JobSpec| {
-        *s = JobSpec::new(scene.digest().0, Division::Grid([4, 4, 2]), scene.bounds());
-        (s.method, s.certificates) = (Method::Exact, true);
+    let exact = |cells| {
+        let sampling = Sampling::new(Sampler::lines(cells));
+        let (effort, certificates) = (Effort::Full, true);
+        Visibility::from(Method::Exact {
+            sampling,
+            effort,
+            certificates,
+        })
     };
-    let Some(job) = job_of(Arc::new(scene.clone()), exact) else {
+    let Some(job) = job_of(Arc::new(scene), exact) else {
         return;
     };
     let (expected, _) = job.alone();
@@ -421,7 +465,7 @@ fn exact_cells_are_decided_by_helpers_and_never_again() {
 
 #[test]
 fn a_leader_learns_late_what_an_earlier_one_has_left() {
-    let Some(job) = job(|_| {}) else { return };
+    let Some(job) = job(plain) else { return };
     let (expected, rays) = job.alone();
     let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
     assert!(outcomes.len() > 6, "{}", outcomes.len());
@@ -470,7 +514,7 @@ impl Watcher for Tells {
 
 #[test]
 fn a_leader_may_learn_at_any_time() {
-    let Some(job) = job(|_| {}) else { return };
+    let Some(job) = job(plain) else { return };
     let (expected, _) = job.alone();
     let (_, outcomes, _) = crewed(&job, &[(Helps::Never, 0)], &[]);
     let mut learned = 0;
@@ -507,7 +551,7 @@ fn a_leader_that_goes_without_an_end_sends_its_helpers_away() {
 
 #[test]
 fn a_leader_whose_way_was_lost_hands_over_what_was_not_kept() {
-    let Some(job) = job(|_| {}) else { return };
+    let Some(job) = job(plain) else { return };
     let heard: Arc<Mutex<Vec<u32>>> = Arc::default();
     let (hears, watch) = (Arc::clone(&heard), Arc::new(Watch::default()));
     let leader = Leader::new(Vec::new(), watch.clone(), move |message| {

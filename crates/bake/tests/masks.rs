@@ -9,11 +9,12 @@
 
 use std::sync::Arc;
 
-use sightline_bake::{Alone, BakeError, BakeScene, Control, Watcher, run_tile};
-use sightline_model::{JobSpec, Method};
+use sightline_bake::{Alone, BakeError, BakeScene, Control, Inputs, Watcher};
+use sightline_model::{
+    Effort, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling,
+};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::load::{Options, load_bytes_with};
-use sightline_viewcells::Division;
 
 struct Silent;
 
@@ -46,8 +47,10 @@ fn a_tile_is_sampled_and_not_decided() {
     assert!(scene.kinds().any_masked());
     let scene = Arc::new(scene);
     let view = sightline_scene::Aabb::new([2.0; 3].into(), [3.0; 3].into());
-    let aggressive = JobSpec::new(scene.digest().0, Division::Grid([1, 1, 1]), view);
-    let backend = match CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&aggressive.sampling)) {
+    let cells = KnownCells::Grid(GridCells::new(view, [1, 1, 1]).unwrap());
+    let sampling = Sampling::new(Sampler::lines(cells));
+    let digest = scene.digest().0;
+    let backend = match CpuBackend::new(Arc::clone(&scene), CubeSpec::of(&sampling.sampler)) {
         Ok(backend) => backend,
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");
@@ -61,13 +64,13 @@ fn a_tile_is_sampled_and_not_decided() {
         deadline: None,
         crew: &Alone,
     };
-    let run = |spec: &JobSpec| run_tile(spec, 0, &scene, &backend, &[], control);
-    assert!(run(&aggressive).is_ok());
-    for method in [Method::Exact, Method::Verified] {
-        match run(&JobSpec {
-            method,
-            ..aggressive.clone()
-        }) {
+    let run = |method: Method| {
+        let job = PlannedJob::new(JobSpec::new(digest, method)).unwrap();
+        sightline_bake::run(&job, 0, Inputs::new(&scene).with_tracer(&backend), control)
+    };
+    assert!(run(Method::aggressive(sampling.clone())).is_ok());
+    for effort in [Effort::Full, Effort::Bounded] {
+        match run(Method::exact(sampling.clone(), effort)) {
             Err(BakeError::Tile(why)) => {
                 assert!(why.contains("use the method aggressive"), "{why}")
             }

@@ -17,16 +17,18 @@ use std::time::{Duration, Instant};
 use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, run_portal_tile, run_tile};
+use sightline_bake::{Alone, BakeScene, Control, Inputs, run};
 use sightline_exact::{Cell, ExactScene, Places, Task, decide};
-use sightline_model::{BackendChoice, CellSet, DecisionStats, JobSpec, Method, TileOutput, codec};
+use sightline_model::{
+    CellSet, DecisionStats, Effort, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler,
+    Sampling, TileOutput, codec,
+};
 use sightline_numbers::Aabb;
 use sightline_portals::{
     Enclosure, Limits, Partition, Reached, Tree, enclose, reached, region_of, sights,
 };
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle};
-use sightline_viewcells::Division;
 
 fn rooms() -> Arc<Scene> {
     Arc::new(
@@ -41,11 +43,12 @@ fn rooms() -> Arc<Scene> {
     )
 }
 
-fn spec(scene: &Scene) -> JobSpec {
-    let mut spec = JobSpec::new(scene.digest().0, Division::Grid([3, 2, 2]), scene.bounds());
-    (spec.method, spec.backend) = (Method::Portals, BackendChoice::None);
-    spec.check().unwrap();
-    spec
+fn grid(scene: &Scene) -> KnownCells {
+    KnownCells::Grid(GridCells::new(scene.bounds(), [3, 2, 2]).unwrap())
+}
+
+fn job(scene: &Scene, method: Method) -> PlannedJob {
+    PlannedJob::new(JobSpec::new(scene.digest().0, method)).unwrap()
 }
 
 fn cells(bytes: &[u8], scene: &Scene) -> Vec<CellSet> {
@@ -62,9 +65,8 @@ fn by_portals(scene: &Arc<Scene>, deadline: Option<Instant>) -> Vec<u8> {
         deadline,
         crew: &Alone,
     };
-    run_portal_tile(&spec(scene), 0, &prepared, control)
-        .unwrap()
-        .bytes
+    let job = job(scene, Method::portals(grid(scene)));
+    run(&job, 0, Inputs::new(&prepared), control).unwrap().bytes
 }
 
 #[test]
@@ -72,12 +74,9 @@ fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
     let scene = rooms();
     let found = by_portals(&scene, None);
     assert_eq!(found, by_portals(&scene, None));
-    let exact = JobSpec {
-        method: Method::Exact,
-        backend: BackendChoice::Cpu,
-        ..spec(&scene)
-    };
-    let Some(backend) = cpu(&scene, &exact) else {
+    let sampling = Sampling::new(Sampler::lines(grid(&scene)));
+    let exact = job(&scene, Method::exact(sampling, Effort::Full));
+    let Some(backend) = cpu(&scene, exact.spec()) else {
         return;
     };
     let control = Control {
@@ -86,7 +85,8 @@ fn sets_hold_what_is_seen_and_say_what_has_no_witness() {
         crew: &Alone,
     };
     let prepared = BakeScene::new(Arc::clone(&scene)).unwrap();
-    let exact = run_tile(&exact, 0, &prepared, &backend, &[], control).unwrap();
+    let inputs = Inputs::new(&prepared).with_tracer(&backend);
+    let exact = run(&exact, 0, inputs, control).unwrap();
     let exact = cells(&exact.bytes, &scene);
     let is_part = |a: &[u32], b: &[u32]| a.iter().all(|t| b.binary_search(t).is_ok());
     let mut sums = [0; 3];
@@ -226,38 +226,4 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
             );
         }
     }
-}
-
-#[test]
-fn what_needs_samples_or_proofs_is_refused() {
-    let scene = rooms();
-    let good = spec(&scene);
-    let mut others = vec![
-        JobSpec {
-            certificates: true,
-            ..good.clone()
-        },
-        JobSpec {
-            backend: BackendChoice::Cpu,
-            ..good.clone()
-        },
-        JobSpec {
-            division: Division::Adaptive {
-                budget: 5,
-                max_depth: 6,
-            },
-            ..good.clone()
-        },
-        JobSpec {
-            method: Method::Exact,
-            ..good.clone()
-        },
-    ];
-    let mut sampled = good.clone();
-    sampled.sampling.contributions = true;
-    others.push(sampled);
-    for other in others {
-        assert!(other.check().is_err(), "{other:?}");
-    }
-    assert_eq!(JobSpec::from_proto(&good.to_proto(), None).unwrap(), good);
 }

@@ -14,30 +14,35 @@ use std::sync::Arc;
 
 use common::Quiet;
 use glam::Vec3;
-use sightline_bake::{Alone, BakeScene, Control, run_tile};
+use sightline_bake::{Alone, BakeScene, Control, Inputs, run};
 use sightline_geometry::predicates::crossed_alone;
-use sightline_model::{CellSet, JobSpec, Method, TileOutput, codec};
+use sightline_model::numbers::TargetError;
+use sightline_model::{
+    CellSet, Effort, GridCells, JobSpec, KnownCells, LineAim, Method, PlannedJob, Sampler,
+    Sampling, Stop, TileOutput, Viewpoints, codec,
+};
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
-use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL, Viewpoints};
+use sightline_viewcells::{CellBox, Division, PartMask, UNITS_PER_CELL};
 
 const CELLS: [u32; 3] = [3, 2, 2];
 
-/// The sets of a scene's cells; `None` without Embree, which under `CI` is a failure.
+/// Returns the sets of a scene's cells, sampled or decided; `None` without Embree, which under `CI` is a failure.
 fn sets(
     scene: &Arc<Scene>,
-    method: Method,
-    viewpoints: Option<Viewpoints>,
+    effort: Option<Effort>,
+    viewpoints: Viewpoints,
 ) -> Option<Vec<CellSet>> {
-    let mut spec = JobSpec::new(scene.digest().0, Division::Grid(CELLS), scene.bounds());
-    (spec.method, spec.viewpoints) = (method, viewpoints.map(Arc::new));
-    spec.sampling.target_error = 1e-3;
-    spec.check().unwrap();
-    let backend = match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&spec.sampling)) {
+    let cells = GridCells::new(scene.bounds(), CELLS).unwrap();
+    let cells = KnownCells::Grid(cells.with_viewpoints(viewpoints).unwrap());
+    let (error, stop) = (TargetError::new(1e-3).unwrap(), Stop::Expected);
+    let aim = LineAim::Known { cells, error, stop };
+    let sampling = Sampling::new(Sampler::Lines { aim, time: None });
+    let backend = match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&sampling.sampler)) {
         Ok(backend) => backend,
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");
@@ -51,7 +56,13 @@ fn sets(
         deadline: None,
         crew: &Alone,
     };
-    let done = run_tile(&spec, 0, &prepared, &backend, &[], control).unwrap();
+    let method = match effort {
+        Some(effort) => Method::exact(sampling, effort),
+        None => Method::aggressive(sampling),
+    };
+    let job = PlannedJob::new(JobSpec::new(scene.digest().0, method)).unwrap();
+    let inputs = Inputs::new(&prepared).with_tracer(&backend);
+    let done = run(&job, 0, inputs, control).unwrap();
     match codec::decode(&done.bytes, scene.len()).unwrap() {
         TileOutput::Cells(sets) => Some(sets.cells),
         TileOutput::Pack(_) => panic!("a leaf tile has cells"),
@@ -110,21 +121,21 @@ fn what_is_seen_from_a_room_is_in_the_sets_of_its_region() {
         Aabb::new(min, max)
     };
     let boxes: Vec<Aabb> = cells.iter().map(of_cell).collect();
-    let mut marks = Viewpoints::none(CELLS);
+    let mut marks = PartMask::empty(CELLS);
     for (cell, of) in cells.iter().zip(&boxes).filter(|(_, of)| reach.meets(**of)) {
         let at = cell.lo.map(|u| u / UNITS_PER_CELL);
         let each = |k: u32| [at[0] * 4 + k % 4, at[1] * 4 + k / 4 % 4, at[2] * 4 + k / 16];
         assert!(reach.any_in(*of).is_some());
         (0..64).for_each(|k| marks.mark(each(k)));
     }
-    let within = marks.clone().within(Some(region));
-    let Some(sampled) = sets(&scene, Method::Aggressive, Some(within.clone())) else {
+    let within = Viewpoints::new(marks.clone(), Some(region));
+    let Some(sampled) = sets(&scene, None, within.clone()) else {
         return;
     };
-    let Some(exact) = sets(&scene, Method::Exact, Some(within)) else {
+    let Some(exact) = sets(&scene, Some(Effort::Full), within) else {
         return;
     };
-    let Some(whole) = sets(&scene, Method::Exact, Some(marks)) else {
+    let Some(whole) = sets(&scene, Some(Effort::Full), Viewpoints::new(marks, None)) else {
         return;
     };
     let is_part =

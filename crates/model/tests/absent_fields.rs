@@ -13,76 +13,116 @@ use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
 use sightline_model::{JobSpec, SceneFacts};
 use sightline_proto::v1;
 
-/// A field of the job's message: the message around it, the values to try, and a job that may have it.
+/// A field of the job's message: its path, the values to try, and a job that may have it.
 struct Row {
-    /// The message and the field.
-    field: &'static str,
+    /// The names of the fields that lead to it.
+    path: &'static str,
     /// The smallest legal value.
     smallest: f64,
     /// A smaller value, which is rejected; `None` where no smaller one can be written.
     below: Option<f64>,
-    /// The value that an absent field stands for; `None` where absence has another meaning or is
-    /// rejected.
+    /// The value that an absent field stands for; `None` where absence has another meaning or is rejected.
     default: Option<f64>,
     /// The job.
     job: fn() -> v1::JobSpec,
 }
 
-/// Returns a job that gives its scene and its view box.
-fn plain() -> v1::JobSpec {
-    let view_box = vec![0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+const UNIT: [f32; 6] = [0.0, 0.0, 0.0, 1.0, 1.0, 1.0];
+
+fn grid() -> v1::GridCells {
+    let view_box = UNIT.to_vec();
+    v1::GridCells {
+        view_box,
+        ..v1::GridCells::default()
+    }
+}
+
+fn adaptive_cells() -> v1::Adaptive {
+    v1::Adaptive {
+        triangle_budget: Some(5),
+        max_depth: None,
+        view_box: UNIT.to_vec(),
+    }
+}
+
+fn job(method: v1::visibility::Method) -> v1::JobSpec {
+    let task = v1::Visibility {
+        method: Some(method),
+        ..v1::Visibility::default()
+    };
     v1::JobSpec {
         scene: vec![7; 32],
-        view_box,
-        ..v1::JobSpec::default()
+        task: Some(v1::job_spec::Task::Visibility(task)),
     }
 }
 
-fn exact() -> v1::JobSpec {
-    v1::JobSpec {
-        method: Some(v1::Method::Exact.into()),
-        ..plain()
+fn sampling(sampler: v1::sampling::Sampler) -> v1::Sampling {
+    v1::Sampling {
+        sampler: Some(sampler),
+        ..v1::Sampling::default()
     }
 }
 
-fn grid() -> v1::JobSpec {
-    v1::JobSpec {
-        division: Some(v1::job_spec::Division::Grid(v1::Grid::default())),
-        ..plain()
-    }
+fn aggressive(sampler: v1::sampling::Sampler) -> v1::JobSpec {
+    job(v1::visibility::Method::Aggressive(v1::Aggressive {
+        sampling: Some(sampling(sampler)),
+        items: None,
+    }))
+}
+
+fn lines_of(cells: v1::lines::Cells) -> v1::sampling::Sampler {
+    v1::sampling::Sampler::Lines(v1::Lines {
+        cells: Some(cells),
+        ..v1::Lines::default()
+    })
+}
+
+fn cubes_of(cells: v1::cubes::Cells) -> v1::sampling::Sampler {
+    v1::sampling::Sampler::Cubes(v1::Cubes {
+        cells: Some(cells),
+        ..v1::Cubes::default()
+    })
+}
+
+fn lines() -> v1::JobSpec {
+    aggressive(lines_of(v1::lines::Cells::Grid(grid())))
 }
 
 fn adaptive() -> v1::JobSpec {
-    let adaptive = v1::Adaptive {
-        triangle_budget: Some(5),
-        max_depth: None,
-    };
-    v1::JobSpec {
-        division: Some(v1::job_spec::Division::Adaptive(adaptive)),
-        ..plain()
-    }
-}
-
-fn cubes() -> v1::JobSpec {
-    let sampling = v1::Sampling {
-        sampler: Some(v1::Sampler::Cubes.into()),
-        ..v1::Sampling::default()
-    };
-    v1::JobSpec {
-        sampling: Some(sampling),
-        ..plain()
-    }
+    aggressive(lines_of(v1::lines::Cells::Adaptive(adaptive_cells())))
 }
 
 fn guided() -> v1::JobSpec {
-    let sampling = v1::Sampling {
-        sampler: Some(v1::Sampler::Guided.into()),
-        ..v1::Sampling::default()
-    };
-    v1::JobSpec {
-        sampling: Some(sampling),
-        ..plain()
-    }
+    aggressive(v1::sampling::Sampler::Guided(v1::Guided {
+        cells: Some(v1::guided::Cells::Grid(grid())),
+        ..v1::Guided::default()
+    }))
+}
+
+fn cubes() -> v1::JobSpec {
+    let view_box = UNIT.to_vec();
+    aggressive(cubes_of(v1::cubes::Cells::Grid(v1::CubeGrid {
+        view_box,
+        ..v1::CubeGrid::default()
+    })))
+}
+
+fn deep_cubes() -> v1::JobSpec {
+    aggressive(cubes_of(v1::cubes::Cells::Adaptive(adaptive_cells())))
+}
+
+fn exact() -> v1::JobSpec {
+    job(v1::visibility::Method::Exact(v1::Exact {
+        sampling: Some(sampling(lines_of(v1::lines::Cells::Grid(grid())))),
+        ..v1::Exact::default()
+    }))
+}
+
+fn portals() -> v1::JobSpec {
+    job(v1::visibility::Method::Portals(v1::Portals {
+        cells: Some(v1::portals::Cells::Grid(grid())),
+        time_budget_ms: None,
+    }))
 }
 
 fn ambient() -> v1::JobSpec {
@@ -95,276 +135,135 @@ fn ambient() -> v1::JobSpec {
     };
     v1::JobSpec {
         scene: vec![7; 32],
-        ambient: Some(ambient),
-        ..v1::JobSpec::default()
+        task: Some(v1::job_spec::Task::Ambient(ambient)),
     }
 }
 
-/// Every number, flag and choice of a job.
+const fn row(
+    path: &'static str,
+    smallest: f64,
+    below: Option<f64>,
+    default: Option<f64>,
+    job: fn() -> v1::JobSpec,
+) -> Row {
+    Row {
+        path,
+        smallest,
+        below,
+        default,
+        job,
+    }
+}
+
+/// Every number, flag and named value of a job.
+#[rustfmt::skip]
 const ROWS: &[Row] = &[
-    Row {
-        field: "JobSpec.backend",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "JobSpec.seed",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "JobSpec.time_budget_ms",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: None,
-        job: plain,
-    },
-    Row {
-        field: "JobSpec.block_cells",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(512.0),
-        job: plain,
-    },
-    Row {
-        field: "JobSpec.method",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "JobSpec.certificates",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: exact,
-    },
+    row("visibility.far", f32::MIN_POSITIVE as f64, Some(0.0), None, lines),
+    row("visibility.cell_to_cell", 0.0, None, Some(0.0), lines),
+    row("visibility.seed", 0.0, None, Some(0.0), lines),
     // 0 is the name of an unknown axis, as in all enums of proto3 without a default.
-    Row {
-        field: "JobSpec.up",
-        smallest: 1.0,
-        below: None,
-        default: None,
-        job: plain,
-    },
-    Row {
-        field: "Grid.x",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(8.0),
-        job: grid,
-    },
-    Row {
-        field: "Grid.y",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(8.0),
-        job: grid,
-    },
-    Row {
-        field: "Grid.z",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(8.0),
-        job: grid,
-    },
-    Row {
-        field: "Adaptive.triangle_budget",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: None,
-        job: adaptive,
-    },
-    Row {
-        field: "Adaptive.max_depth",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(12.0),
-        job: adaptive,
-    },
-    Row {
-        field: "Sampling.resolution",
-        smallest: 8.0,
-        below: Some(0.0),
-        default: Some(256.0),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.measure",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.error_threshold",
-        smallest: 0.0,
-        below: Some(-1e-9),
-        default: Some(0.1),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.interior_threshold",
-        smallest: 0.0,
-        below: Some(-1e-9),
-        default: Some(0.5),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.min_distance",
-        smallest: 1.0 / 1024.0,
-        below: Some(0.0),
-        default: Some(0.5),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.solids",
-        smallest: 0.0,
-        below: None,
-        default: Some(1.0),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.superset",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: cubes,
-    },
-    Row {
-        field: "Sampling.sampler",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "Sampling.target_error",
-        smallest: 1e-6,
-        below: Some(0.0),
-        default: Some(1e-4),
-        job: plain,
-    },
-    Row {
-        field: "Sampling.max_error",
-        smallest: 1e-5,
-        below: Some(0.0),
-        default: None,
-        job: plain,
-    },
-    Row {
-        field: "Sampling.rays",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: Some(200_000.0),
-        job: guided,
-    },
-    Row {
-        field: "Sampling.granularity",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "Sampling.min_share",
-        smallest: 1e-6,
-        below: Some(0.0),
-        default: None,
-        job: plain,
-    },
-    Row {
-        field: "Sampling.far",
-        smallest: f32::MIN_POSITIVE as f64,
-        below: Some(0.0),
-        default: None,
-        job: plain,
-    },
-    Row {
-        field: "Sampling.cell_to_cell",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "Sampling.contributions",
-        smallest: 0.0,
-        below: None,
-        default: Some(0.0),
-        job: plain,
-    },
-    Row {
-        field: "Ambient.bytes",
-        smallest: 0.0,
-        below: None,
-        default: None,
-        job: ambient,
-    },
-    Row {
-        field: "Ambient.points",
-        smallest: 1.0,
-        below: Some(0.0),
-        default: None,
-        job: ambient,
-    },
-    Row {
-        field: "Ambient.lights",
-        smallest: 0.0,
-        below: None,
-        default: None,
-        job: ambient,
-    },
+    row("visibility.up", 1.0, None, None, lines),
+    row("visibility.aggressive.items", 0.0, None, Some(0.0), lines),
+    row("visibility.exact.effort", 0.0, None, Some(0.0), exact),
+    row("visibility.exact.certificates", 0.0, None, Some(0.0), exact),
+    row("visibility.exact.sampling.lines.grid.tile_cells", 1.0, Some(0.0), Some(8.0), exact),
+    row("visibility.portals.time_budget_ms", 1.0, Some(0.0), None, portals),
+    row("visibility.portals.grid.tile_cells", 1.0, Some(0.0), Some(64.0), portals),
+    row("visibility.aggressive.sampling.backend", 0.0, None, Some(0.0), lines),
+    row("visibility.aggressive.sampling.contributions", 0.0, None, Some(0.0), lines),
+    row("visibility.aggressive.sampling.lines.target_error", 1e-6, Some(0.0), Some(1e-4), lines),
+    row("visibility.aggressive.sampling.lines.max_error", 1e-5, Some(0.0), None, lines),
+    row("visibility.aggressive.sampling.lines.min_share", 1e-6, Some(0.0), None, lines),
+    row("visibility.aggressive.sampling.lines.time_budget_ms", 1.0, Some(0.0), None, lines),
+    row("visibility.aggressive.sampling.lines.grid.x", 1.0, Some(0.0), Some(8.0), lines),
+    row("visibility.aggressive.sampling.lines.grid.y", 1.0, Some(0.0), Some(8.0), lines),
+    row("visibility.aggressive.sampling.lines.grid.z", 1.0, Some(0.0), Some(8.0), lines),
+    row("visibility.aggressive.sampling.lines.grid.tile_cells", 1.0, Some(0.0), Some(512.0), lines),
+    row("visibility.aggressive.sampling.lines.adaptive.triangle_budget", 1.0, Some(0.0), None, adaptive),
+    row("visibility.aggressive.sampling.lines.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), adaptive),
+    row("visibility.aggressive.sampling.cubes.adaptive.max_depth", 1.0, Some(0.0), Some(12.0), deep_cubes),
+    row("visibility.aggressive.sampling.guided.rays", 1.0, Some(0.0), Some(200_000.0), guided),
+    row("visibility.aggressive.sampling.guided.time_budget_ms", 1.0, Some(0.0), None, guided),
+    row("visibility.aggressive.sampling.cubes.grid.x", 1.0, Some(0.0), Some(8.0), cubes),
+    row("visibility.aggressive.sampling.cubes.grid.y", 1.0, Some(0.0), Some(8.0), cubes),
+    row("visibility.aggressive.sampling.cubes.grid.z", 1.0, Some(0.0), Some(8.0), cubes),
+    row("visibility.aggressive.sampling.cubes.resolution", 8.0, Some(0.0), Some(256.0), cubes),
+    row("visibility.aggressive.sampling.cubes.measure", 0.0, None, Some(0.0), cubes),
+    row("visibility.aggressive.sampling.cubes.error_threshold", 0.0, Some(-1e-9), Some(0.1), cubes),
+    row("visibility.aggressive.sampling.cubes.interior_threshold", 0.0, Some(-1e-9), Some(0.5), cubes),
+    row("visibility.aggressive.sampling.cubes.min_distance", 1.0 / 1024.0, Some(0.0), Some(0.5), cubes),
+    row("visibility.aggressive.sampling.cubes.solids", 0.0, None, Some(1.0), cubes),
+    row("visibility.aggressive.sampling.cubes.superset", 0.0, None, Some(0.0), cubes),
+    row("ambient.bytes", 0.0, None, None, ambient),
+    row("ambient.points", 1.0, Some(0.0), None, ambient),
+    row("ambient.lights", 0.0, None, None, ambient),
 ];
 
-/// A field with the fields of messages that lead to it, outermost first.
+/// A field with the numbers of the fields that lead to it, outermost first.
 #[derive(Clone, Debug)]
 struct Leaf {
     path: Vec<u32>,
+    /// The name of its message and its own.
+    name: String,
     field: FieldDescriptorProto,
 }
 
-/// Finds the fields with a single number, flag or choice of a message and of the messages in it.
-fn leaves(set: &FileDescriptorSet, name: &str, path: &[u32], all: &mut BTreeMap<String, Leaf>) {
+fn descriptors() -> FileDescriptorSet {
+    FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap()
+}
+
+fn message<'a>(set: &'a FileDescriptorSet, name: &str) -> &'a DescriptorProto {
     let of = |message: &&DescriptorProto| format!(".sightline.v1.{}", message.name()) == name;
-    let message = set
-        .file
+    set.file
         .iter()
         .flat_map(|file| &file.message_type)
         .find(of)
-        .unwrap();
+        .unwrap()
+}
+
+/// Finds the fields with a single number, flag or named value of a message and of the messages in it.
+fn leaves(set: &FileDescriptorSet, name: &str, all: &mut BTreeMap<String, FieldDescriptorProto>) {
+    let message = message(set, name);
     for field in &message.field {
-        let inner: Vec<u32> = path
-            .iter()
-            .copied()
-            .chain([field.number() as u32])
-            .collect();
         match field.r#type() {
-            Type::Message => leaves(set, field.type_name(), &inner, all),
+            Type::Message => leaves(set, field.type_name(), all),
             // An empty text or list is not a legal value of any field, so that absence needs no bit.
             Type::Bytes | Type::String => {}
             _ if field.label() == Label::Repeated => {}
             _ => {
-                let leaf = Leaf {
-                    path: inner,
-                    field: field.clone(),
-                };
-                all.insert(format!("{}.{}", message.name(), field.name()), leaf);
+                all.insert(
+                    format!("{}.{}", message.name(), field.name()),
+                    field.clone(),
+                );
             }
         }
     }
 }
 
-fn all_leaves() -> BTreeMap<String, Leaf> {
-    let set = FileDescriptorSet::decode(sightline_proto::DESCRIPTORS).unwrap();
+fn all_leaves() -> BTreeMap<String, FieldDescriptorProto> {
     let mut all = BTreeMap::new();
-    leaves(&set, ".sightline.v1.JobSpec", &[], &mut all);
+    leaves(&descriptors(), ".sightline.v1.JobSpec", &mut all);
     all
+}
+
+impl Row {
+    /// Finds the field.
+    fn leaf(&self) -> Leaf {
+        let set = descriptors();
+        let mut of = message(&set, ".sightline.v1.JobSpec");
+        let (mut path, mut found) = (Vec::new(), None);
+        for name in self.path.split('.') {
+            let field = of.field.iter().find(|field| field.name() == name);
+            let field = field.unwrap_or_else(|| panic!("{}: there is no field {name}", self.path));
+            path.push(field.number() as u32);
+            found = Some((format!("{}.{name}", of.name()), field.clone()));
+            if field.r#type() == Type::Message {
+                of = message(&set, field.type_name());
+            }
+        }
+        let (name, field) = found.unwrap();
+        Leaf { path, name, field }
+    }
 }
 
 /// Returns the job with one field given, as a client writes it.
@@ -397,128 +296,101 @@ fn with(job: &v1::JobSpec, leaf: &Leaf, value: f64) -> v1::JobSpec {
 }
 
 fn read(message: &v1::JobSpec) -> Result<JobSpec, String> {
-    JobSpec::from_proto(message, Some(SceneFacts::default())).map_err(|e| e.to_string())
+    JobSpec::from_message(message, &SceneFacts::default()).map_err(|e| e.to_string())
 }
 
 #[test]
-fn every_number_flag_and_choice_of_a_job_is_optional_and_tested() {
+fn every_number_flag_and_name_of_a_job_is_optional_and_tested() {
     let leaves = all_leaves();
+    // A field of a oneof is absent when another one is given, or none.
+    let is_optional =
+        |field: &FieldDescriptorProto| field.proto3_optional() || field.oneof_index.is_some();
     let implicit: Vec<&String> = leaves
         .iter()
-        .filter(|(_, leaf)| !leaf.field.proto3_optional())
+        .filter(|(_, field)| !is_optional(field))
         .map(|(name, _)| name)
         .collect();
     assert!(
         implicit.is_empty(),
         "0 cannot be told from absence; make these `optional`: {implicit:?}"
     );
-    let tested: BTreeSet<&str> = ROWS.iter().map(|row| row.field).collect();
-    let known: BTreeSet<&str> = leaves.keys().map(String::as_str).collect();
+    let tested: BTreeSet<String> = ROWS.iter().map(|row| row.leaf().name).collect();
+    let known: BTreeSet<String> = leaves.into_keys().collect();
     assert_eq!(tested, known, "add a row for each field of a job");
 }
 
 #[test]
 fn smallest_legal_values_come_through_the_message() {
-    let leaves = all_leaves();
     for row in ROWS {
-        let (leaf, job) = (&leaves[row.field], (row.job)());
-        let given = with(&job, leaf, row.smallest);
-        let spec = read(&given).unwrap_or_else(|e| panic!("{}: {e}", row.field));
-        let written = spec.to_proto();
+        let (leaf, job) = (row.leaf(), (row.job)());
+        let given = with(&job, &leaf, row.smallest);
+        let spec = read(&given).unwrap_or_else(|e| panic!("{}: {e}", row.path));
+        let written = spec.to_message();
         assert_eq!(
-            with(&written, leaf, row.smallest),
+            with(&written, &leaf, row.smallest),
             written,
             "{} has another value",
-            row.field
+            row.path
         );
-        assert_eq!(read(&written).as_ref(), Ok(&spec), "{}", row.field);
+        assert_eq!(read(&written).as_ref(), Ok(&spec), "{}", row.path);
         if let Some(below) = row.below {
             assert!(
-                read(&with(&job, leaf, below)).is_err(),
+                read(&with(&job, &leaf, below)).is_err(),
                 "{} is {below}",
-                row.field
+                row.path
             );
         }
         if let Ok(absent) = read(&job) {
-            let is_same = row.default == Some(row.smallest) || (row.job)() == given;
-            assert_eq!(absent.key() == spec.key(), is_same, "{}", row.field);
+            let is_same = row.default == Some(row.smallest) || job == given;
+            assert_eq!(absent.key() == spec.key(), is_same, "{}", row.path);
         }
     }
 }
 
 #[test]
 fn written_default_makes_the_key_of_an_absent_field() {
-    let leaves = all_leaves();
     for row in ROWS {
-        let (leaf, job) = (&leaves[row.field], (row.job)());
         let Some(default) = row.default else { continue };
+        let job = (row.job)();
         let (absent, given) = (
             read(&job).unwrap(),
-            read(&with(&job, leaf, default)).unwrap(),
+            read(&with(&job, &row.leaf(), default)).unwrap(),
         );
-        assert_eq!(absent, given, "{}", row.field);
-        assert_eq!(absent.key(), given.key(), "{}", row.field);
+        assert_eq!(absent, given, "{}", row.path);
+        assert_eq!(absent.key(), given.key(), "{}", row.path);
     }
 }
 
 #[test]
-fn defaults_depend_on_method_scene_and_bound() {
-    let of = |job: v1::JobSpec, triangles| {
-        let facts = SceneFacts {
-            triangles,
-            bounds: None,
-        };
-        JobSpec::from_proto(&job, Some(facts)).unwrap()
-    };
-    assert_eq!(of(exact(), 100).block_cells, 8);
-    assert_eq!(of(plain(), 100).block_cells, 512);
-    assert_eq!(of(plain(), 10_000_000).block_cells, 64);
-    let portals = v1::JobSpec {
-        method: Some(v1::Method::Portals.into()),
-        ..plain()
-    };
-    assert_eq!(
-        of(portals, 100).backend,
-        sightline_model::BackendChoice::None
-    );
-    let sampling = v1::Sampling {
-        max_error: Some(0.01),
-        ..v1::Sampling::default()
-    };
-    assert_eq!(
-        of(
-            v1::JobSpec {
-                sampling: Some(sampling),
-                ..plain()
-            },
-            100
-        )
-        .sampling
-        .target_error,
-        0.01
-    );
-    // The scene is enough where its bounds are known.
+fn defaults_depend_on_scene_and_bound() {
     let scene = v1::JobSpec {
         scene: vec![7; 32],
-        ..v1::JobSpec::default()
+        task: None,
     };
-    assert!(
-        JobSpec::from_proto(&scene, None)
-            .unwrap_err()
-            .to_string()
-            .contains("view box")
-    );
+    assert!(read(&scene).unwrap_err().contains("view-box"));
     let bounds = Some(sightline_numbers::Aabb::new(
         glam::Vec3::ZERO,
         glam::Vec3::ONE,
     ));
-    let spec = JobSpec::from_proto(
-        &scene,
-        Some(SceneFacts {
-            triangles: 100,
+    let of = |triangles| {
+        let facts = SceneFacts {
+            triangles,
             bounds,
-        }),
-    )
-    .unwrap();
-    assert_eq!(spec, of(plain(), 100));
+            ..SceneFacts::default()
+        };
+        JobSpec::from_message(&scene, &facts).unwrap()
+    };
+    // The scene is enough where its bounds are known.
+    assert_eq!(Ok(of(100)), read(&lines()));
+    assert_ne!(of(10_000_000), of(100));
+    let row = ROWS
+        .iter()
+        .find(|row| row.path.ends_with("max_error"))
+        .unwrap();
+    let bounded = with(&lines(), &row.leaf(), 0.01);
+    let target = ROWS
+        .iter()
+        .find(|row| row.path.ends_with("target_error"))
+        .unwrap();
+    assert_eq!(read(&bounded), read(&with(&bounded, &target.leaf(), 0.01)));
 }

@@ -3,15 +3,61 @@
 use std::time::Instant;
 
 use glam::Vec3;
-use sightline_model::SamplingParams;
+use sightline_model::{CubeParams, Granularity, LineAim, Sampler, Stop};
 use sightline_numbers::Aabb;
-use sightline_viewcells::{Division, Lattice, Viewpoints};
+use sightline_viewcells::{Division, Lattice, PartMask};
 
 use crate::backend::Backend;
 use crate::crew::Crew;
 pub use crate::error::TileError;
 use crate::prepared::PreparedScene;
 use crate::rows::Rows;
+
+/// How the cells of a tile are sampled: the sampler of the job without its cells, which for a tile of a box are
+/// others than those of the job.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum TileSampler {
+    /// Sight lines, alone or guided.
+    Lines(LineSampler),
+    /// Visibility cubes.
+    Cubes(CubeParams),
+}
+
+/// How lines sample the cells of a tile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LineSampler {
+    /// Lines that all cells share.
+    Shared {
+        /// The expected fraction of missed sight lines at which a cell is finished.
+        error: f64,
+        /// What else a finished cell has.
+        stop: Stop,
+    },
+    /// Guided rays of each cell alone.
+    Guided {
+        /// The number of rays of each cell.
+        rays: u64,
+    },
+}
+
+impl From<&Sampler> for TileSampler {
+    fn from(sampler: &Sampler) -> Self {
+        match sampler {
+            Sampler::Lines { aim, .. } => match aim {
+                LineAim::Known { error, stop, .. } => Self::Lines(LineSampler::Shared {
+                    error: error.get(),
+                    stop: *stop,
+                }),
+                LineAim::Adaptive { error, .. } => Self::Lines(LineSampler::Shared {
+                    error: error.get(),
+                    stop: Stop::Expected,
+                }),
+            },
+            Sampler::Guided { rays, .. } => Self::Lines(LineSampler::Guided { rays: rays.get() }),
+            Sampler::Cubes { params, .. } => Self::Cubes(*params),
+        }
+    }
+}
 
 /// The inputs that all tiles of a job share.
 pub struct JobContext<'a> {
@@ -21,10 +67,14 @@ pub struct JobContext<'a> {
     pub division: Division,
     /// The division's lattice.
     pub lattice: Lattice,
-    /// The sampling parameters.
-    pub params: &'a SamplingParams,
+    /// The sampler.
+    pub sampler: TileSampler,
+    /// What the sets name.
+    pub items: Granularity,
+    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    pub far: Option<f64>,
     /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
-    pub viewpoints: Option<&'a Viewpoints>,
+    pub viewpoints: Option<&'a PartMask>,
     /// The region that holds all viewpoints; `None` when they are not restricted to one.
     pub places: Option<&'a dyn Places>,
     /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
@@ -50,9 +100,12 @@ impl JobContext<'_> {
     /// # Panics
     /// On a thread of rayon's pool (see [`PreparedScene`]).
     pub fn rows(&self) -> &Rows {
-        match self.params.min_share {
-            Some(_) => self.scene.item_rows(self.params.granularity),
-            None => self.scene.fine_rows(self.params.granularity),
+        match self.sampler {
+            TileSampler::Lines(LineSampler::Shared {
+                stop: Stop::Share(_),
+                ..
+            }) => self.scene.item_rows(self.items),
+            _ => self.scene.fine_rows(self.items),
         }
     }
 }

@@ -7,7 +7,7 @@
 //! v = (2y+1)/n − 1. A cube image stores the faces one after another, each row by row from y = 0.
 
 use glam::Vec3;
-use sightline_model::{ErrorMeasure, SamplingParams, VisibilitySample};
+use sightline_model::{CubeParams, ErrorMeasure, Sampler, VisibilitySample};
 
 /// The id of a pixel that sees no triangle.
 pub const SKY: u32 = u32::MAX;
@@ -24,10 +24,15 @@ pub struct CubeSpec {
 }
 
 impl CubeSpec {
-    /// The cubes that the error measure of `params` needs.
-    pub fn of(params: &SamplingParams) -> Self {
+    /// Returns the cubes that a sampler needs; those of the default parameters if it renders none.
+    pub fn of(sampler: &Sampler) -> Self {
+        Self::new(&sampler.cube_params().copied().unwrap_or_default())
+    }
+
+    /// Returns the cubes that the error measure of `params` needs.
+    pub fn new(params: &CubeParams) -> Self {
         Self {
-            resolution: params.resolution,
+            resolution: params.resolution.get(),
             strata: match params.measure {
                 ErrorMeasure::Sets | ErrorMeasure::Uniform => Strata::One,
                 ErrorMeasure::Pixels | ErrorMeasure::Strata => Strata::Quadrants,

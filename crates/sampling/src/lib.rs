@@ -41,7 +41,7 @@ pub mod surface;
 pub mod tile;
 
 pub use backend::{Backend, CubeRenderer, LineSet};
-pub use context::{JobContext, Places, Unwatched, Watcher};
+pub use context::{JobContext, LineSampler, Places, TileSampler, Unwatched, Watcher};
 pub use cube::{CubeImage, CubeSpec, SKY, Strata, near_distance};
 pub use error::{BackendError, TileError};
 pub use prepared::{PreparedScene, Traced};

@@ -3,10 +3,10 @@
 //! A tile's output is a pure function of the scene, the parameters, the backend's numerics profile and the
 //! packs of the tiles it needs.
 
-use sightline_model::{Pack, Sampler, TileOutput};
+use sightline_model::{Pack, TileOutput};
 use sightline_viewcells::Tile;
 
-use crate::context::{JobContext, TileError, Watcher};
+use crate::context::{JobContext, TileError, TileSampler, Watcher};
 use crate::cubes::cache::CacheCounters;
 use crate::cubes::tile::CubeCounters;
 use crate::{cubes, lines};
@@ -33,13 +33,14 @@ pub fn run(
     packs: &[Pack],
     watcher: &dyn Watcher,
 ) -> Result<(TileOutput, TileCounters), TileError> {
-    match job.params.sampler {
-        Sampler::Cubes => {
-            let (output, CubeCounters { rendered, cache }) = cubes::run(job, tile, packs, watcher)?;
+    match &job.sampler {
+        TileSampler::Cubes(params) => {
+            let (output, CubeCounters { rendered, cache }) =
+                cubes::run(job, params, tile, packs, watcher)?;
             Ok((output, TileCounters { rendered, cache }))
         }
-        Sampler::Lines | Sampler::Guided => {
-            let (sets, rendered) = lines::run(job, tile, watcher)?;
+        TileSampler::Lines(sampler) => {
+            let (sets, rendered) = lines::run(job, *sampler, tile, watcher)?;
             Ok((
                 TileOutput::Cells(sets),
                 TileCounters {

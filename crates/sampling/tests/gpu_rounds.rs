@@ -13,9 +13,7 @@
 use std::sync::{Arc, Mutex};
 
 use glam::Vec3;
-use sightline_model::{
-    CellSets, CellStats, Granularity, LineKind, PairTable, SamplingParams, TileOutput,
-};
+use sightline_model::{CellSets, CellStats, Granularity, LineKind, PairTable, Stop, TileOutput};
 use sightline_sampling::crew::{Alone, Crew, FromLeader, Leader, ToLeader};
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
@@ -26,7 +24,8 @@ use sightline_sampling::rows::Rows;
 use sightline_sampling::sight::Sight;
 use sightline_sampling::surface::Surface;
 use sightline_sampling::{
-    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, Strata, Unwatched, tile,
+    Backend, BackendError, CubeSpec, JobContext, LineSampler, LineSet, PreparedScene, Strata,
+    TileSampler, Unwatched, tile,
 };
 use sightline_scene::generate::{self, Kind, Params};
 use sightline_scene::{Object, Scene, Triangle};
@@ -378,15 +377,14 @@ fn pairs_of(scene: &Arc<Scene>, backend: &dyn Backend, cells: [u32; 3]) -> (Pair
     let lattice = division.lattice(b.min, b.max).unwrap();
     let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
     let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
-    let params = SamplingParams {
-        target_error: 0.003,
-        ..SamplingParams::default()
-    };
+    let (error, stop) = (0.003, Stop::Expected);
     let job = JobContext {
         scene: &prepared,
         division,
         lattice,
-        params: &params,
+        sampler: TileSampler::Lines(LineSampler::Shared { error, stop }),
+        items: Granularity::Triangles,
+        far: None,
         viewpoints: None,
         places: None,
         pairs: Some(cells),

@@ -13,15 +13,16 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use glam::{DVec3, Vec3};
-use sightline_model::{CellSets, Pack, Sampler, SamplingParams, TileOutput, codec};
+use sightline_model::numbers::{MaxError, Resolution};
+use sightline_model::{CellSets, CubeParams, Granularity, Pack, Stop, TileOutput, codec};
 use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
 use sightline_sampling::gpu::{AdapterChoice, GpuBackend};
 use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::{
-    Backend, BackendError, CubeSpec, JobContext, LineSet, PreparedScene, SKY, Strata, Unwatched,
-    layers, tile,
+    Backend, BackendError, CubeSpec, JobContext, LineSampler, LineSet, PreparedScene, SKY, Strata,
+    TileSampler, Unwatched, layers, tile,
 };
 use sightline_scene::overlap::triangle_touches_box;
 use sightline_scene::{Aabb, Kind, Kinds, Object, Scene, Side, Sides, Triangle};
@@ -117,24 +118,25 @@ fn bake(
     scene: &Arc<Scene>,
     backend: &dyn Backend,
     cells: [u32; 3],
-    params: &SamplingParams,
+    sampler: TileSampler,
 ) -> Vec<CellSets> {
     let division = Division::Grid(cells);
     let lattice = division
         .lattice(scene.bounds().min, scene.bounds().max)
         .unwrap();
     let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
-    let layout = if params.sampler == Sampler::Cubes {
-        Layout::Samples
-    } else {
-        Layout::Blocks(512)
+    let layout = match sampler {
+        TileSampler::Cubes(_) => Layout::Samples,
+        TileSampler::Lines(_) => Layout::Blocks(512),
     };
     let plan = Plan::new(&division, &lattice, layout);
     let job = JobContext {
         scene: &prepared,
         division,
         lattice,
-        params,
+        sampler,
+        items: Granularity::Triangles,
+        far: None,
         viewpoints: None,
         places: None,
         pairs: Some(cells),
@@ -161,22 +163,18 @@ fn bake(
 }
 
 /// The samplers, the last one with a bound.
-fn samplers() -> Vec<SamplingParams> {
-    let of = |sampler| SamplingParams {
-        sampler,
-        resolution: 32,
-        rays: 20_000,
-        ..SamplingParams::default()
-    };
-    let bounded = SamplingParams {
-        max_error: Some(0.01),
-        ..of(Sampler::Lines)
+fn samplers() -> Vec<TileSampler> {
+    let lines = |stop| LineSampler::Shared { error: 1e-4, stop };
+    let bound = Stop::Bound(MaxError::new(0.01).unwrap());
+    let cubes = CubeParams {
+        resolution: Resolution::new(32).unwrap(),
+        ..CubeParams::default()
     };
     vec![
-        of(Sampler::Lines),
-        of(Sampler::Guided),
-        of(Sampler::Cubes),
-        bounded,
+        TileSampler::Lines(lines(Stop::Expected)),
+        TileSampler::Lines(LineSampler::Guided { rays: 20_000 }),
+        TileSampler::Cubes(cubes),
+        TileSampler::Lines(lines(bound)),
     ]
 }
 
@@ -185,14 +183,9 @@ fn samplers() -> Vec<SamplingParams> {
 #[track_caller]
 fn assert_storeys(scene: &Arc<Scene>, expected: [&[u32]; 4], pair: bool) {
     for backend in backends(scene, spec(32)) {
-        for params in samplers() {
-            let what = format!(
-                "{} {:?} {:?}",
-                backend.profile(),
-                params.sampler,
-                params.max_error
-            );
-            let tiles = bake(scene, &*backend, [1, 1, 4], &params);
+        for sampler in samplers() {
+            let what = format!("{} {sampler:?}", backend.profile());
+            let tiles = bake(scene, &*backend, [1, 1, 4], sampler);
             let sets: Vec<&Vec<u32>> = tiles
                 .iter()
                 .flat_map(|t| t.cells.iter().map(|c| &c.visible))
@@ -406,11 +399,9 @@ fn sets_of_random_scenes_hold_what_random_rays_meet_and_nothing_that_faces_away(
     let cells = [3u32, 3, 3];
     let size = (bounds.max - bounds.min) / 3.0;
     for backend in backends(&scene, spec(32)) {
-        let params = SamplingParams {
-            target_error: 1e-4,
-            ..SamplingParams::default()
-        };
-        let tiles = bake(&scene, &*backend, cells, &params);
+        let (error, stop) = (1e-4, Stop::Expected);
+        let sampler = TileSampler::Lines(LineSampler::Shared { error, stop });
+        let tiles = bake(&scene, &*backend, cells, sampler);
         let pairs = tiles[0].pairs.as_ref().unwrap();
         // One tile; the boxes of its cells in the order of its tree.
         let division = Division::Grid(cells);

@@ -13,13 +13,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use glam::Vec3;
+use sightline_model::numbers::{ErrorThreshold, MinDistance, Resolution};
 use sightline_model::{
-    CellSet, CellSets, ErrorMeasure, Node, Pack, Sampler, SamplingParams, SupersetChoice,
+    CellSet, CellSets, CubeParams, ErrorMeasure, Granularity, Node, Pack, Stop, SupersetChoice,
     TileOutput, codec,
 };
 use sightline_sampling::crew::Alone;
 use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::{Backend, CubeSpec, JobContext, PreparedScene, Watcher, tile};
+use sightline_sampling::{
+    Backend, CubeSpec, JobContext, LineSampler, PreparedScene, TileSampler, Watcher, tile,
+};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{Object, Scene, Triangle, overlap};
 use sightline_viewcells::{CellBox, Division, Layout, Plan, Tile, TileKind};
@@ -39,8 +42,12 @@ impl Watcher for Count {
 }
 
 /// Embree, unless it is missing where it may be.
-fn backend(scene: &Arc<Scene>, params: &SamplingParams) -> Option<CpuBackend> {
-    match CpuBackend::new(Arc::clone(scene), CubeSpec::of(params)) {
+fn backend(scene: &Arc<Scene>, sampler: TileSampler) -> Option<CpuBackend> {
+    let cubes = match sampler {
+        TileSampler::Cubes(params) => params,
+        TileSampler::Lines(_) => CubeParams::default(),
+    };
+    match CpuBackend::new(Arc::clone(scene), CubeSpec::new(&cubes)) {
         Ok(b) => Some(b),
         Err(e) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {e}");
@@ -54,9 +61,9 @@ fn backend(scene: &Arc<Scene>, params: &SamplingParams) -> Option<CpuBackend> {
 fn bake(
     scene: Scene,
     division: Division,
-    params: &SamplingParams,
+    sampler: TileSampler,
 ) -> Option<(Arc<Scene>, Vec<CellSet>, u64)> {
-    let (scene, tiles, count) = bake_tiles(scene, division.clone(), params)?;
+    let (scene, tiles, count) = bake_tiles(scene, division.clone(), sampler)?;
     Some((
         scene,
         tiles.into_iter().flat_map(|(_, sets)| sets.cells).collect(),
@@ -71,24 +78,25 @@ type Leaves = Vec<(Tile, CellSets)>;
 fn bake_tiles(
     scene: Scene,
     division: Division,
-    params: &SamplingParams,
+    sampler: TileSampler,
 ) -> Option<(Arc<Scene>, Leaves, u64)> {
     let scene = Arc::new(scene);
-    let backend = backend(&scene, params)?;
+    let backend = backend(&scene, sampler)?;
     let b = scene.bounds();
     let lattice = division.lattice(b.min, b.max).unwrap();
     let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
-    let layout = if params.sampler == Sampler::Cubes {
-        Layout::Samples
-    } else {
-        Layout::Blocks(512)
+    let layout = match sampler {
+        TileSampler::Cubes(_) => Layout::Samples,
+        TileSampler::Lines(_) => Layout::Blocks(512),
     };
     let plan = Plan::new(&division, &lattice, layout);
     let job = JobContext {
         scene: &prepared,
         division,
         lattice,
-        params,
+        sampler,
+        items: Granularity::Triangles,
+        far: None,
         viewpoints: None,
         places: None,
         pairs: None,
@@ -126,13 +134,18 @@ fn bake_tiles(
     Some((scene, leaves, count.0.into_inner()))
 }
 
-fn coarse() -> SamplingParams {
-    SamplingParams {
-        sampler: Sampler::Cubes,
-        resolution: 64,
-        min_distance: 1.0,
-        ..SamplingParams::default()
+fn coarse() -> CubeParams {
+    CubeParams {
+        resolution: Resolution::new(64).unwrap(),
+        min_distance: MinDistance::new(1.0).unwrap(),
+        ..CubeParams::default()
     }
+}
+
+/// Returns lines that aim at this error.
+fn lines(error: f64) -> TileSampler {
+    let stop = Stop::Expected;
+    TileSampler::Lines(LineSampler::Shared { error, stop })
 }
 
 fn rooms() -> Scene {
@@ -149,7 +162,9 @@ fn rooms() -> Scene {
 #[test]
 fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
     let division = Division::Grid([3, 2, 2]);
-    let Some((scene, cells, samples)) = bake(rooms(), division.clone(), &coarse()) else {
+    let Some((scene, cells, samples)) =
+        bake(rooms(), division.clone(), TileSampler::Cubes(coarse()))
+    else {
         return;
     };
     assert_eq!(cells.len(), 12);
@@ -169,22 +184,22 @@ fn a_cell_sees_what_meets_it_and_two_bakes_are_alike() {
         );
         assert!(set.visible.is_sorted() && set.samples >= 8);
     }
-    let (_, again, _) = bake(rooms(), division.clone(), &coarse()).unwrap();
+    let (_, again, _) = bake(rooms(), division.clone(), TileSampler::Cubes(coarse())).unwrap();
     assert_eq!(cells, again);
 }
 
 #[test]
 fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
     let division = Division::Grid([2, 2, 1]);
-    let Some((_, base, few)) = bake(rooms(), division.clone(), &coarse()) else {
+    let Some((_, base, few)) = bake(rooms(), division.clone(), TileSampler::Cubes(coarse())) else {
         return;
     };
-    let finer = SamplingParams {
-        min_distance: 0.25,
-        error_threshold: 0.0,
+    let finer = CubeParams {
+        min_distance: MinDistance::new(0.25).unwrap(),
+        error_threshold: ErrorThreshold::new(0.0).unwrap(),
         ..coarse()
     };
-    let (_, more, many) = bake(rooms(), division.clone(), &finer.clone()).unwrap();
+    let (_, more, many) = bake(rooms(), division.clone(), TileSampler::Cubes(finer)).unwrap();
     assert!(many > few);
     for (a, b) in base.iter().zip(&more) {
         assert!(
@@ -197,21 +212,22 @@ fn each_measure_and_superset_gives_a_result_and_more_samples_see_no_less() {
         let (_, cells, _) = bake(
             rooms(),
             division.clone(),
-            &SamplingParams {
+            TileSampler::Cubes(CubeParams {
                 measure,
                 ..coarse()
-            },
+            }),
         )
         .unwrap();
         assert_eq!(cells.len(), 4);
     }
     // Rendering only what the cell above saw must not lose more than a little of what it would have seen
     // otherwise.
-    let simplified = SamplingParams {
+    let simplified = CubeParams {
         superset: SupersetChoice::On,
         ..finer
     };
-    let (_, simplified, _) = bake(rooms(), division.clone(), &simplified).unwrap();
+    let (_, simplified, _) =
+        bake(rooms(), division.clone(), TileSampler::Cubes(simplified)).unwrap();
     for (a, b) in more.iter().zip(&simplified) {
         let common = a
             .visible
@@ -232,7 +248,7 @@ fn an_adaptive_tree_stops_at_its_budget_or_depth() {
         budget: 300,
         max_depth: 6,
     };
-    let Some((_, cells, _)) = bake(rooms(), division.clone(), &coarse()) else {
+    let Some((_, cells, _)) = bake(rooms(), division.clone(), TileSampler::Cubes(coarse())) else {
         return;
     };
     assert!(cells.len() >= 8 && cells.len() <= 64);
@@ -240,7 +256,7 @@ fn an_adaptive_tree_stops_at_its_budget_or_depth() {
         budget: 1_000_000,
         max_depth: 6,
     };
-    let (_, few, _) = bake(rooms(), generous, &coarse()).unwrap();
+    let (_, few, _) = bake(rooms(), generous, TileSampler::Cubes(coarse())).unwrap();
     assert_eq!(few.len(), 8, "the levels that are always split");
 }
 
@@ -287,15 +303,11 @@ fn full_box() -> Scene {
 
 #[test]
 fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else() {
-    let params = SamplingParams {
-        sampler: Sampler::Lines,
-        target_error: 1e-3,
-        ..SamplingParams::default()
-    };
+    let sampler = lines(1e-3);
     // The box is in one of the smallest cells.
     let (budget, max_depth) = (70, 12);
     let division = Division::Adaptive { budget, max_depth };
-    let Some((scene, tiles, _)) = bake_tiles(full_box(), division.clone(), &params) else {
+    let Some((scene, tiles, _)) = bake_tiles(full_box(), division.clone(), sampler) else {
         return;
     };
     assert_eq!(tiles.len(), 8);
@@ -350,7 +362,7 @@ fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else()
         (max_depth, 3),
         "some cells are as small as can be, and some tiles are one"
     );
-    let (_, again, _) = bake_tiles(full_box(), division.clone(), &params).unwrap();
+    let (_, again, _) = bake_tiles(full_box(), division.clone(), sampler).unwrap();
     assert!(
         tiles.iter().zip(&again).all(|(a, b)| a.1 == b.1),
         "twice is not the same"
@@ -360,14 +372,14 @@ fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else()
         budget: 1000,
         max_depth: 12,
     };
-    let (_, whole, _) = bake_tiles(full_box(), generous, &params).unwrap();
+    let (_, whole, _) = bake_tiles(full_box(), generous, sampler).unwrap();
     let (_, parts, _) = bake_tiles(
         full_box(),
         Division::Adaptive {
             budget: 1,
             max_depth: 12,
         },
-        &params,
+        sampler,
     )
     .unwrap();
     for ((_, whole), (_, parts)) in whole.iter().zip(&parts) {
@@ -389,16 +401,12 @@ fn an_adaptive_tree_of_sight_lines_is_halved_where_it_must_be_and_nowhere_else()
 fn where_coordinates_are_few_an_adaptive_tree_ends_before_its_cells_lose_lines() {
     // Far from the origin a small cell is a few steps of single precision wide.
     let far = solid(Vec3::splat(1e6), Vec3::splat(1e6 + 16.0));
-    let params = SamplingParams {
-        sampler: Sampler::Lines,
-        target_error: 1e-2,
-        ..SamplingParams::default()
-    };
+    let sampler = lines(1e-2);
     let division = Division::Adaptive {
         budget: 1,
         max_depth: 12,
     };
-    let Some((_, cells, _)) = bake(scene(far), division.clone(), &params) else {
+    let Some((_, cells, _)) = bake(scene(far), division.clone(), sampler) else {
         return;
     };
     let seen: Vec<usize> = cells.iter().map(|c| c.visible.len()).collect();
@@ -407,12 +415,9 @@ fn where_coordinates_are_few_an_adaptive_tree_ends_before_its_cells_lose_lines()
 
 #[test]
 fn an_adaptive_tree_that_runs_out_of_time_says_where() {
-    let params = SamplingParams {
-        sampler: Sampler::Lines,
-        ..SamplingParams::default()
-    };
+    let sampler = lines(1e-4);
     let scene = Arc::new(full_box());
-    let Some(backend) = backend(&scene, &params) else {
+    let Some(backend) = backend(&scene, sampler) else {
         return;
     };
     let division = Division::Adaptive {
@@ -425,12 +430,14 @@ fn an_adaptive_tree_that_runs_out_of_time_says_where() {
     let prepared = PreparedScene::new(Arc::clone(&scene)).unwrap();
     let plan = Plan::new(&division, &lattice, Layout::Blocks(512));
     let now = Some(std::time::Instant::now());
-    let (params, backend) = (&params, &backend as &dyn Backend);
+    let backend = &backend as &dyn Backend;
     let job = JobContext {
         scene: &prepared,
         division,
         lattice: lattice.clone(),
-        params,
+        sampler,
+        items: Granularity::Triangles,
+        far: None,
         viewpoints: None,
         places: None,
         pairs: None,
@@ -517,7 +524,8 @@ fn nothing_inside_a_closed_box_is_seen_from_outside_and_degenerate_triangles_nev
     t.push(tri([-10.0; 3], [-9.0, -10.0, -10.0], [-10.0, -9.0, -10.0]));
     t.push(tri([10.0; 3], [9.0, 10.0, 10.0], [10.0, 9.0, 10.0]));
     let division = Division::Grid([7, 7, 7]);
-    let Some((scene, cells, _)) = bake(scene(t), division.clone(), &coarse()) else {
+    let Some((scene, cells, _)) = bake(scene(t), division.clone(), TileSampler::Cubes(coarse()))
+    else {
         return;
     };
     let lattice = division
@@ -569,7 +577,7 @@ fn exact_duplicates_are_seen_together() {
     let Some((_, cells, _)) = bake(
         scene(vec![wall, back, turned]),
         Division::Grid([2, 2, 2]),
-        &coarse(),
+        TileSampler::Cubes(coarse()),
     ) else {
         return;
     };

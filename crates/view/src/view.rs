@@ -18,11 +18,15 @@ impl<'a> View<'a> {
             scene,
             title: String::new(),
             about: String::new(),
-            up: if info["up"] == "z" { 2 } else { 1 },
+            up: if info["spec"]["visibility"]["up"] == "z" {
+                2
+            } else {
+                1
+            },
             maps: maps(pvs)?,
             places: Vec::new(),
             worst: Vec::new(),
-            far: info["sampling"]["far"].as_f64(),
+            far: info["spec"]["visibility"]["far"].as_f64(),
             caveat: caveat(pvs, scene, &info),
             ask: None,
             start: middling(pvs)?,

@@ -181,7 +181,7 @@ impl Division {
     ///
     /// # Errors
     /// [`DivisionError::TooThin`] when rounding may move a line by the width of a cell or more.
-    pub fn moved_by_rounding(&self, lattice: &Lattice) -> Result<f64, DivisionError> {
+    pub fn rounding_displacement(&self, lattice: &Lattice) -> Result<f64, DivisionError> {
         let root = self.root(lattice);
         let mut thinnest = root;
         match self {

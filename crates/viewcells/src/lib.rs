@@ -20,16 +20,16 @@ pub mod cell;
 pub mod division;
 pub mod kd_tree;
 pub mod lattice;
+pub mod part_mask;
 pub mod plan;
 pub mod rect;
 pub mod region;
-pub mod viewpoints;
 
 pub use cell::{CellBox, Split, axis_name};
 pub use division::{Division, DivisionError};
 pub use kd_tree::{KdTree, MOST_BOXES, PlaneError, TreeError};
 pub use lattice::{Lattice, LatticePoint, UNITS_PER_CELL};
+pub use part_mask::{PartMask, PartMaskError};
 pub use plan::{Layout, MOST_BLOCK_CELLS, Outline, Plan, Tile, TileKind, USUAL_BLOCK_CELLS};
 pub use rect::Rect;
 pub use region::{Region, RegionError, RegionNode};
-pub use viewpoints::{Viewpoints, ViewpointsError};

@@ -1,14 +1,14 @@
 //! Viewpoints in any of several boxes.
 
 use sightline_numbers::Aabb;
-use sightline_viewcells::Viewpoints;
+use sightline_viewcells::PartMask;
 
 use crate::{Parts, within};
 
 /// Marks the parts that share a volume with one of the boxes, or an area or a length with a flat one.
 /// `cells` are those of the grid of `parts`.
-pub fn mark(parts: &Parts, cells: [u32; 3], boxes: &[Aabb]) -> Viewpoints {
-    let mut marks = Viewpoints::none(cells);
+pub fn mark(parts: &Parts, cells: [u32; 3], boxes: &[Aabb]) -> PartMask {
+    let mut marks = PartMask::empty(cells);
     for of in boxes {
         for part in within(parts.touched(of)) {
             let at = parts.bounds(part);

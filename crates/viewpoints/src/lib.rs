@@ -1,7 +1,7 @@
 //! Where viewpoints can be: marks the parts of view cells that hold viewpoints, from boxes, closed meshes,
 //! navigation meshes, points and what is reached from them along free segments.
 //!
-//! Marks are [`Viewpoints`]: each cell of a grid has 4×4×4 parts, and a part is marked when a viewpoint may
+//! Marks are [`PartMask`]: each cell of a grid has 4×4×4 parts, and a part is marked when a viewpoint may
 //! be in it. Boxes and meshes mark every part that they meet. Points mark the parts that rays from them
 //! cross, so a part behind a gap that no ray finds stays unmarked.
 //!
@@ -13,12 +13,12 @@ pub mod points;
 pub mod reach;
 mod walk;
 
-pub use sightline_viewcells::Viewpoints;
+pub use sightline_viewcells::PartMask;
 
 use rayon::prelude::*;
 use sightline_numbers::Aabb;
 use sightline_sampling::BackendError;
-use sightline_viewcells::viewpoints::PARTS;
+use sightline_viewcells::part_mask::PARTS;
 use sightline_viewcells::{Lattice, UNITS_PER_CELL};
 
 /// Why it is not known where viewpoints can be.
@@ -155,24 +155,20 @@ impl Parts {
 }
 
 /// Marks every part of which `meets` says that its box holds viewpoints.
-pub fn mark_where(
-    parts: &Parts,
-    cells: [u32; 3],
-    meets: impl Fn(Aabb) -> bool + Sync,
-) -> Viewpoints {
+pub fn mark_where(parts: &Parts, cells: [u32; 3], meets: impl Fn(Aabb) -> bool + Sync) -> PartMask {
     let all: Vec<[u32; 3]> = each(parts.sides()).collect();
     let met: Vec<[u32; 3]> = all
         .into_par_iter()
         .filter(|p| meets(parts.bounds(*p)))
         .collect();
-    let mut marks = Viewpoints::none(cells);
+    let mut marks = PartMask::empty(cells);
     met.into_iter().for_each(|p| marks.mark(p));
     marks
 }
 
 /// The parts that both have marked.
-pub fn both(a: &Viewpoints, b: &Viewpoints) -> Viewpoints {
-    let mut out = Viewpoints::none(a.cells());
+pub fn both(a: &PartMask, b: &PartMask) -> PartMask {
+    let mut out = PartMask::empty(a.cells());
     each(a.sides())
         .filter(|p| a.has(*p) && b.has(*p))
         .for_each(|p| out.mark(p));

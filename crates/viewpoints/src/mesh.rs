@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use glam::{DVec3, Vec3};
 use sightline_numbers::Aabb;
 use sightline_scene::{Scene, Triangle, overlap};
-use sightline_viewcells::Viewpoints;
+use sightline_viewcells::PartMask;
 
 use crate::{Parts, ViewpointsError, each, within};
 
@@ -21,9 +21,9 @@ pub fn mark_closed(
     parts: &Parts,
     cells: [u32; 3],
     mesh: &Scene,
-) -> Result<Viewpoints, ViewpointsError> {
+) -> Result<PartMask, ViewpointsError> {
     check_closed(mesh)?;
-    let mut marks = Viewpoints::none(cells);
+    let mut marks = PartMask::empty(cells);
     for triangle in mesh.triangles().iter().filter(|t| !t.is_degenerate()) {
         let touching = within(parts.touched(&triangle.bounds()));
         for part in touching.filter(|p| overlap::triangle_touches_box(triangle, &parts.bounds(*p)))
@@ -76,8 +76,8 @@ pub fn mark_above(
     mesh: &Scene,
     up: usize,
     heights: [f32; 2],
-) -> Viewpoints {
-    let mut marks = Viewpoints::none(cells);
+) -> PartMask {
+    let mut marks = PartMask::empty(cells);
     for triangle in mesh.triangles() {
         let prism = Prism::new(triangle, up, heights);
         for part in within(parts.touched(&prism.bounds())) {

@@ -13,7 +13,7 @@ use sightline_sampling::packet::{LANES, Packet};
 use sightline_sampling::sequence::Hashed;
 use sightline_sampling::sight::{Passed, Sight};
 use sightline_scene::{Aabb, Scene};
-use sightline_viewcells::Viewpoints;
+use sightline_viewcells::PartMask;
 
 use crate::mesh::winding;
 use crate::{Parts, ViewpointsError, walk};
@@ -54,8 +54,8 @@ pub fn mark_around(
     t: &Tracing<'_>,
     points: &[[f32; 3]],
     reach: f32,
-) -> Result<(Viewpoints, usize), ViewpointsError> {
-    let mut marks = Viewpoints::none(t.cells);
+) -> Result<(PartMask, usize), ViewpointsError> {
+    let mut marks = PartMask::empty(t.cells);
     let inside: Vec<[f32; 3]> = points
         .iter()
         .copied()
@@ -92,8 +92,8 @@ pub fn mark_reachable(
     t: &Tracing<'_>,
     seeds: &[[f32; 3]],
     progress: &mut dyn FnMut(u64),
-) -> Result<Viewpoints, ViewpointsError> {
-    let mut marks = Viewpoints::none(t.cells);
+) -> Result<PartMask, ViewpointsError> {
+    let mut marks = PartMask::empty(t.cells);
     for part in check(t, seeds)? {
         marks.mark(part);
     }
@@ -143,7 +143,7 @@ fn cast_from_all(
     t: &Tracing<'_>,
     points: Vec<[f32; 3]>,
     reach: f64,
-    marks: &mut Viewpoints,
+    marks: &mut PartMask,
     found: &mut dyn FnMut([u32; 3], [f32; 3]),
 ) -> Result<(), ViewpointsError> {
     for batch in points.chunks(BATCH) {
@@ -184,7 +184,7 @@ fn cast(
     origin: [f32; 3],
     tiles: u32,
     reach: f64,
-    known: &Viewpoints,
+    known: &PartMask,
 ) -> Result<Vec<Crossing>, ViewpointsError> {
     let mut out = Vec::new();
     each_ray(t, origin, tiles, &mut |packet, lane| {

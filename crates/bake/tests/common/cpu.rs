@@ -2,13 +2,22 @@
 
 use std::sync::Arc;
 
-use sightline_model::JobSpec;
+use sightline_model::{JobSpec, Visibility};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 
-/// Embree; `None` without it, which under `CI` is a failure.
+/// Returns the cubes of a job; those of the default parameters if it renders none.
+fn cubes(spec: &JobSpec) -> CubeSpec {
+    let sampling = spec.visibility().and_then(Visibility::sampling);
+    sampling.map_or_else(
+        || CubeSpec::new(&sightline_model::CubeParams::default()),
+        |sampling| CubeSpec::of(&sampling.sampler),
+    )
+}
+
+/// Returns Embree; `None` without it, which under `CI` is a failure.
 pub fn cpu(scene: &Arc<Scene>, spec: &JobSpec) -> Option<CpuBackend> {
-    match CpuBackend::new(Arc::clone(scene), CubeSpec::of(&spec.sampling)) {
+    match CpuBackend::new(Arc::clone(scene), cubes(spec)) {
         Ok(backend) => Some(backend),
         Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
             eprintln!("not run: {why}");

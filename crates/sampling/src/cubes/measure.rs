@@ -70,7 +70,7 @@ fn each_bit(mut mask: u32, mut f: impl FnMut(usize)) {
 /// Err′ (Nirenstein and Blake 2004, equation 2): the fraction of pixels whose triangle is not the same in all
 /// samples.
 ///
-/// Samples without pixels count as entirely different. Cubes with the parameters of [`crate::CubeSpec::of`]
+/// Samples without pixels count as entirely different. Cubes with the parameters of [`crate::CubeSpec::new`]
 /// have pixels.
 fn strict(samples: &[&VisibilitySample]) -> f64 {
     let Some(pixels) = samples

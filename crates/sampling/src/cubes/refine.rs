@@ -10,7 +10,7 @@ use std::sync::Arc;
 use sightline_viewcells::{Lattice, LatticePoint, Rect};
 
 use super::measure::error;
-use sightline_model::SamplingParams;
+use sightline_model::CubeParams;
 use sightline_model::VisibilitySample;
 
 /// Distinguishes samples inside closed solids from samples outside.
@@ -43,7 +43,7 @@ pub fn refine<S: SampleSource>(
     rect: Rect,
     lattice: &Lattice,
     min_distance: f64,
-    params: &SamplingParams,
+    params: &CubeParams,
     exterior: &dyn Exterior,
     source: &mut S,
 ) -> Result<(), S::Error> {
@@ -84,7 +84,7 @@ pub fn refine<S: SampleSource>(
 /// that differ, interior samples that differ.
 fn wants_split(
     corners: &[(LatticePoint, &VisibilitySample)],
-    params: &SamplingParams,
+    params: &CubeParams,
     exterior: &dyn Exterior,
 ) -> bool {
     let (outside, inside): (Vec<_>, Vec<_>) = corners
@@ -95,14 +95,15 @@ fn wants_split(
         error(params.measure, &s)
     };
     outside.len() == 1
-        || samples(&outside) > params.error_threshold
-        || samples(&inside) > params.interior_threshold
+        || samples(&outside) > params.error_threshold.get()
+        || samples(&inside) > params.interior_threshold.get()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use glam::Vec3;
+    use sightline_model::numbers::{ErrorThreshold, InteriorThreshold};
     use sightline_viewcells::Division;
 
     /// Sees triangle 0 left of a plane and triangle 1 right of it.
@@ -143,7 +144,7 @@ mod tests {
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let root = division.root(&lattice);
         let mut source = Edge(20_000, Vec::new());
-        let params = SamplingParams::default();
+        let params = CubeParams::default();
         refine(
             root.face(4),
             &lattice,
@@ -178,7 +179,7 @@ mod tests {
             rect,
             &lattice,
             1e-3,
-            &SamplingParams::default(),
+            &CubeParams::default(),
             &Open,
             &mut source,
         )
@@ -192,11 +193,11 @@ mod tests {
         let lattice = division.lattice(Vec3::ZERO, Vec3::ONE).unwrap();
         let rect = division.root(&lattice).face(0);
         // All corners are alike, and thresholds of 1 are never exceeded.
-        let params = SamplingParams {
+        let params = CubeParams {
             measure: sightline_model::ErrorMeasure::Uniform,
-            error_threshold: 1.0,
-            interior_threshold: 1.0,
-            ..SamplingParams::default()
+            error_threshold: ErrorThreshold::new(1.0).unwrap(),
+            interior_threshold: InteriorThreshold::new(1.0).unwrap(),
+            ..CubeParams::default()
         };
         for exterior in [&Open as &dyn Exterior, &Solid] {
             let mut source = Edge(0, Vec::new());
@@ -224,8 +225,8 @@ mod tests {
             strata: vec![1],
             ..Default::default()
         };
-        let p = SamplingParams {
-            interior_threshold: 1.0,
+        let p = CubeParams {
+            interior_threshold: InteriorThreshold::new(1.0).unwrap(),
             ..Default::default()
         };
         assert!(wants_split(&[([0; 3], &s), ([1, 0, 0], &s)], &p, &Walls));
@@ -234,8 +235,8 @@ mod tests {
             &p,
             &Walls
         ));
-        let strict = SamplingParams {
-            interior_threshold: 0.5,
+        let strict = CubeParams {
+            interior_threshold: InteriorThreshold::new(0.5).unwrap(),
             ..p
         };
         assert!(wants_split(

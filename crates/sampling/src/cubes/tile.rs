@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use sightline_model::{
-    CellSet, CellSets, Granularity, Node, Pack, SamplingParams, SupersetChoice, TileOutput,
+    CellSet, CellSets, CubeParams, Granularity, Node, Pack, SupersetChoice, TileOutput,
     VisibilitySample,
 };
 use sightline_scene::topology::Solids;
@@ -36,9 +36,9 @@ pub struct CubeCounters {
     pub cache: CacheCounters,
 }
 
-/// [`SamplingParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest
+/// Returns [`CubeParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest
 /// level.
-pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Lattice) -> f64 {
+pub fn min_distance(params: &CubeParams, division: &Division, lattice: &Lattice) -> f64 {
     let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
     let cells = match *division {
         // A specification has no cubes for the boxes of a tree.
@@ -52,7 +52,7 @@ pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Latt
     let side = (sides.iter().product::<f64>() / cells).cbrt();
     // Slightly more, so that a side meant to equal the distance is not above it by the rounding of the cube
     // root.
-    side * params.min_distance * (1.0 + 1.0 / f64::from(1 << 20))
+    side * params.min_distance.get() * (1.0 + 1.0 / f64::from(1 << 20))
 }
 
 /// Runs `tile` with the packs of the tiles it needs.
@@ -61,11 +61,12 @@ pub fn min_distance(params: &SamplingParams, division: &Division, lattice: &Latt
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn run(
     job: &JobContext<'_>,
+    params: &CubeParams,
     tile: &Tile,
     packs: &[Pack],
     watcher: &dyn Watcher,
 ) -> Result<(TileOutput, CubeCounters), TileError> {
-    let scene = job.scene.for_cubes(job.params.solids);
+    let scene = job.scene.for_cubes(params.solids);
     let mut cache = SampleCache::new(tile.cell);
     for (p, sample) in packs.iter().flat_map(|pack| &pack.samples) {
         cache.insert(*p, Arc::clone(sample));
@@ -73,9 +74,10 @@ pub fn run(
     let bits = vec![0u64; job.scene.scene().triangles().len().div_ceil(64)];
     let mut work = Work {
         job,
+        params,
         scene,
-        min_distance: min_distance(job.params, &job.division, &job.lattice),
-        superset: match job.params.superset {
+        min_distance: min_distance(params, &job.division, &job.lattice),
+        superset: match params.superset {
             SupersetChoice::On => true,
             SupersetChoice::Off => false,
             SupersetChoice::Auto => job.backend.profile().starts_with("gpu/"),
@@ -88,7 +90,7 @@ pub fn run(
     };
     let output = match tile.kind {
         TileKind::Face(f) => {
-            let renderer = renderer(job, None)?;
+            let renderer = renderer(job, params, None)?;
             work.sample(tile.cell.face(f), &*renderer)?;
             TileOutput::Pack(work.take_pack())
         }
@@ -106,7 +108,7 @@ pub fn run(
             let inside = work.inside(&tile.cell);
             let mut sets = CellSets::default();
             work.subtree(&tile.cell, tile.depth, &inside, &mut sets)?;
-            if job.params.granularity != Granularity::Triangles {
+            if job.items != Granularity::Triangles {
                 let rows = job.rows();
                 for cell in &mut sets.cells {
                     cell.visible.iter_mut().for_each(|t| *t = rows.item(*t));
@@ -115,7 +117,7 @@ pub fn run(
                 }
             }
             if let Some(pairs) = joining::table(job) {
-                let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
+                let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
                 work.rendered += joining::search(
                     job,
                     &sight,
@@ -141,19 +143,21 @@ pub fn run(
 /// The renderer of a job's cubes.
 fn renderer<'a>(
     job: &JobContext<'a>,
+    params: &CubeParams,
     superset: Option<&[u32]>,
 ) -> Result<Box<dyn CubeRenderer + 'a>, BackendError> {
     layers::renderer(
         job.backend,
         job.scene,
-        CubeSpec::of(job.params),
+        CubeSpec::new(params),
         superset,
-        job.params.far,
+        job.far,
     )
 }
 
 struct Work<'a> {
     job: &'a JobContext<'a>,
+    params: &'a CubeParams,
     scene: CubeScene<'a>,
     min_distance: f64,
     superset: bool,
@@ -224,7 +228,7 @@ impl Work<'_> {
         let [nx, ny, _] = marks.cells();
         let range = |a: usize| within.lo[a] / UNITS_PER_CELL..within.hi[a] / UNITS_PER_CELL;
         let index = |x: u32, y: u32, z: u32| ((z * ny + y) * nx + x) as usize;
-        range(2).any(|z| range(1).any(|y| range(0).any(|x| marks.of(index(x, y, z)) != 0)))
+        range(2).any(|z| range(1).any(|y| range(0).any(|x| marks.parts(index(x, y, z)) != 0)))
     }
 
     fn subtree(
@@ -274,7 +278,7 @@ impl Work<'_> {
 
     /// Samples the rectangle that splits `cell`, with V(C) only when superset simplification is on.
     fn split(&mut self, cell: &CellBox, split: Split, seen: &[u32]) -> Result<(), TileError> {
-        let renderer = renderer(self.job, self.superset.then_some(seen))?;
+        let renderer = renderer(self.job, self.params, self.superset.then_some(seen))?;
         self.sample(cell.cut(split), &*renderer)
     }
 
@@ -288,7 +292,7 @@ impl Work<'_> {
             scene: self.job.scene.scene(),
             lattice: &self.job.lattice,
         };
-        let (job, min_distance) = (self.job, self.min_distance);
+        let (job, params, min_distance) = (self.job, self.params, self.min_distance);
         let mut source = CachedSource {
             work: self,
             renderer,
@@ -297,7 +301,7 @@ impl Work<'_> {
             rect,
             &job.lattice,
             min_distance,
-            job.params,
+            params,
             &exterior,
             &mut source,
         )

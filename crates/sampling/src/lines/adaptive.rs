@@ -27,18 +27,18 @@ const _: () = assert!(MOST_LINE_DEPTH == FORCED_DEPTH + LEVELS);
 /// lose more lines than this.
 const MOST_MARGIN: f32 = 1.0 / 16.0;
 
-/// Runs a leaf tile of an adaptive tree.
+/// Runs a leaf tile of an adaptive tree, whose small cells are finished at an expected error.
 ///
 /// # Errors
 /// [`TileError`] when it is cancelled or the tracer fails.
-pub fn run(work: &Work<'_>, tile: &Tile) -> Result<(CellSets, u64), TileError> {
+pub fn run(work: &Work<'_>, error: f64, tile: &Tile) -> Result<(CellSets, u64), TileError> {
     let Work { job, watcher, .. } = work;
     let (levels, sides) = regular(job, &tile.cell, tile.depth);
     let number = |c: [u32; 3]| number(job.lattice.units(), &tile.cell, sides, c);
     let mut block = work.block(&tile.cell, sides, number, |_| u64::MAX);
     // The number of finished cells is unknown until the tree is built.
     block.silent = true;
-    block.sample(job.params.target_error, &[], Tolerance::Raised)?;
+    block.sample(error, &[], Tolerance::Raised)?;
     share(work, &mut block);
     let mut sampled = Sampled {
         grid: block.grid().clone(),

@@ -27,7 +27,7 @@ use crate::sequence::{Hashed, spread3};
 use crate::sight::{Passed, Sight};
 use crate::surface::Surface;
 use sightline_model::CellStats;
-use sightline_viewcells::viewpoints::PARTS;
+use sightline_viewcells::part_mask::PARTS;
 
 /// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same
 /// cells, and joining takes longer than tracing where a line crosses many. In a block that is a part of
@@ -79,7 +79,7 @@ pub(super) struct Cell {
     pub(super) size: Vec3,
     /// Its number in the whole division, for its random numbers.
     pub(super) number: u64,
-    /// Which of its parts hold viewpoints ([`sightline_viewcells::Viewpoints`]); all bits when all do.
+    /// Which of its parts hold viewpoints ([`sightline_viewcells::PartMask`]); all bits when all do.
     pub(super) parts: u64,
 }
 

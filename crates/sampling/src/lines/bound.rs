@@ -18,7 +18,7 @@ use crate::cube::{SKY, face_basis};
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::sequence::Hashed;
-use sightline_model::params::BOUND_AIM;
+use sightline_model::numbers::BOUND_AIM;
 use sightline_model::{CellStats, LineKind};
 
 /// Number of tests after which a cell keeps the bound it has.

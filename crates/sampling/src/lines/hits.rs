@@ -37,7 +37,7 @@ pub fn count(
     sets: &mut [CellSet],
     watcher: &dyn Watcher,
 ) -> Result<u64, TileError> {
-    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
+    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
     let rows = job.rows();
     let classes = job.scene.for_cubes(false).duplicates;
     let twins: BTreeMap<u32, &[u32]> = classes
@@ -58,7 +58,7 @@ pub fn count(
             let number = u64::from((z * whole[1] + y) * whole[0] + x);
             let parts = job
                 .viewpoints
-                .map_or(u64::MAX, |marks| marks.of(number as usize));
+                .map_or(u64::MAX, |marks| marks.parts(number as usize));
             let (lo, hi) = at.world(&job.lattice);
             let random = Hashed::new(&[
                 job.seed,

@@ -47,7 +47,7 @@ pub fn table(job: &JobContext<'_>) -> Option<Pairs> {
     job.pairs.map(|sides| {
         let pairs = Pairs::new(CellGrid::new(min, max, sides));
         match job.viewpoints {
-            Some(marks) => pairs.reached_in(|cell| marks.of(cell)),
+            Some(marks) => pairs.reached_in(|cell| marks.parts(cell)),
             None => pairs,
         }
     })
@@ -73,7 +73,7 @@ pub fn search(
         .enumerate()
         .map(|(number, at)| {
             let (lo, size) = grid.cell_box(at);
-            let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.of(number));
+            let parts = job.viewpoints.map_or(u64::MAX, |marks| marks.parts(number));
             Cell {
                 at,
                 slot: grid.slot(at),

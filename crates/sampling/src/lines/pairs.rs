@@ -185,7 +185,7 @@ impl Pairs {
 pub fn of_tile(job: &JobContext<'_>, pairs: Option<&Pairs>) -> Option<TilePairs> {
     let counts = |cell: u32| {
         job.viewpoints
-            .is_none_or(|marks| marks.of(cell as usize) != 0)
+            .is_none_or(|marks| marks.parts(cell as usize) != 0)
     };
     pairs.map(|pairs| TilePairs {
         seen: pairs.table(counts),

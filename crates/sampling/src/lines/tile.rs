@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use sightline_model::{CellSet, CellSets, Node, Sampler};
+use sightline_model::{CellSet, CellSets, Node, Stop};
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
@@ -11,7 +11,7 @@ use super::pairs::of_tile;
 use super::rounds::Tolerance;
 use super::work::{Work, columns, share};
 use super::{adaptive, joining};
-use crate::context::{JobContext, TileError, Watcher};
+use crate::context::{JobContext, LineSampler, TileError, Watcher};
 use crate::sight::Sight;
 
 /// Samples a leaf tile; returns its sets and the number of rays.
@@ -20,18 +20,19 @@ use crate::sight::Sight;
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn run(
     job: &JobContext<'_>,
+    sampler: LineSampler,
     tile: &Tile,
     watcher: &dyn Watcher,
 ) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
     let scene = job.scene.for_lines();
-    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.params.far);
+    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
     let pairs = joining::table(job);
     // After the lines that look for triangles, which leave less to be joined. The rays of the sampler guided
     // join none.
-    let rounds = match job.params.sampler {
-        Sampler::Guided => joining::MANY_ROUNDS,
-        Sampler::Lines | Sampler::Cubes => joining::FEW_ROUNDS,
+    let rounds = match sampler {
+        LineSampler::Guided { .. } => joining::MANY_ROUNDS,
+        LineSampler::Shared { .. } => joining::FEW_ROUNDS,
     };
     let join = |block| match &pairs {
         Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher, block),
@@ -45,8 +46,9 @@ pub fn run(
         pairs: pairs.as_ref(),
     };
     tracing::debug!("ready to trace after {:?}", start.elapsed());
-    if let Division::Adaptive { .. } = job.division {
-        let (sets, rays) = adaptive::run(&work, tile)?;
+    if let (Division::Adaptive { .. }, LineSampler::Shared { error, .. }) = (&job.division, sampler)
+    {
+        let (sets, rays) = adaptive::run(&work, error, tile)?;
         let joined = join(None)?;
         job.crew.end()?;
         return Ok((
@@ -65,28 +67,31 @@ pub fn run(
     };
     let parts = |c: [u32; 3]| {
         job.viewpoints
-            .map_or(u64::MAX, |marks| marks.of(number(c) as usize))
+            .map_or(u64::MAX, |marks| marks.parts(number(c) as usize))
     };
     let mut block = work.block(&tile.cell, span(&tile.cell), number, parts);
     tracing::debug!("know what meets each cell after {:?}", start.elapsed());
-    let params = job.params;
-    if let Some(share) = params.min_share {
-        block.search_for_share(share);
-    }
-    let joined = match (params.sampler, params.max_error) {
-        (Sampler::Guided, _) => {
-            block.sample_guided(params.rays)?;
+    let joined = match sampler {
+        LineSampler::Guided { rays } => {
+            block.sample_guided(rays)?;
             join(Some(&mut block))?
         }
-        (_, Some(most)) => {
-            block.sample_before_bound(params.target_error, most)?;
+        LineSampler::Shared {
+            error,
+            stop: Stop::Bound(most),
+        } => {
+            let most = most.get();
+            block.sample_before_bound(error, most)?;
             let joined = join(Some(&mut block))?;
-            block.sample_to_bound(params.target_error, most)?;
+            block.sample_to_bound(error, most)?;
             block.join_to_bound(most)?;
             joined
         }
-        (_, None) => {
-            block.sample(params.target_error, &[], Tolerance::Raised)?;
+        LineSampler::Shared { error, stop } => {
+            if let Stop::Share(share) = stop {
+                block.search_for_share(share.get());
+            }
+            block.sample(error, &[], Tolerance::Raised)?;
             join(Some(&mut block))?
         }
     };

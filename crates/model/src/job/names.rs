@@ -1,54 +1,45 @@
-//! The choices of a job: backend, sampler, method, superset simplification, error measure.
+//! The named values of a job: tracer, method, sampler, superset simplification, error measure.
 //!
-//! Each choice is defined here once: its variants, their names on the command line and in results, and their
-//! numbers on the wire, which are those of the .proto file. A new variant needs an entry in the .proto file,
-//! an entry here, and the code that acts on it.
+//! Each is defined here once: its variants, their names on the command line and in results, and their numbers
+//! on the wire, which are those of the .proto file. A new variant needs an entry in the .proto file, an entry
+//! here, and the code that acts on it.
 
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
 
-/// The numerics profile of jobs that need no backend. Every worker has it, and all give the same bytes.
+use super::SpecError;
+use super::message::FieldValue;
+
+/// The numerics profile of jobs that need no tracer. Every worker has it, and all give the same bytes.
 pub const NO_PROFILE: &str = "none";
 
 /// A parameter whose value is one of a few names.
-pub trait Choice: Copy + Eq + Send + Sync + 'static {
+pub trait NamedValue: Copy + Eq + Send + Sync + 'static {
     /// The parameter's name on the command line, without dashes.
     const PARAMETER: &'static str;
     /// Every value, in the order in which help texts list them.
     const ALL: &'static [Self];
 
-    /// The value's name on the command line and in results.
+    /// Returns the value's name on the command line and in results.
     fn name(self) -> &'static str;
 
-    /// One line about the value, for help texts.
+    /// Returns one line about the value, for help texts.
     fn about(self) -> &'static str;
 
-    /// The value's number on the wire.
-    fn to_wire(self) -> i32;
-
-    /// The value with a number on the wire.
+    /// Finds the value with a name.
     ///
     /// # Errors
-    /// [`UnknownChoice`] when this program knows no value with that number.
-    fn from_wire(number: i32) -> Result<Self, UnknownChoice> {
-        let found = Self::ALL.iter().copied().find(|c| c.to_wire() == number);
-        found.ok_or_else(|| UnknownChoice::new::<Self>(format!("number {number}")))
-    }
-
-    /// The value with a name.
-    ///
-    /// # Errors
-    /// [`UnknownChoice`] when no value has that name.
-    fn from_name(name: &str) -> Result<Self, UnknownChoice> {
+    /// [`UnknownValue`] when no value has that name.
+    fn from_name(name: &str) -> Result<Self, UnknownValue> {
         let found = Self::ALL.iter().copied().find(|c| c.name() == name);
-        found.ok_or_else(|| UnknownChoice::new::<Self>(format!("{name:?}")))
+        found.ok_or_else(|| UnknownValue::new::<Self>(format!("{name:?}")))
     }
 }
 
-/// A name or number that a [`Choice`] does not have.
+/// A name or number that no value of a parameter has.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("this program knows no {parameter} {given}; give {}", one_of(names))]
-pub struct UnknownChoice {
+pub struct UnknownValue {
     /// The parameter's name.
     pub parameter: &'static str,
     /// The unknown value, as text.
@@ -57,12 +48,12 @@ pub struct UnknownChoice {
     pub names: Vec<&'static str>,
 }
 
-impl UnknownChoice {
-    fn new<C: Choice>(given: String) -> Self {
+impl UnknownValue {
+    fn new<V: NamedValue>(given: String) -> Self {
         Self {
-            parameter: C::PARAMETER,
+            parameter: V::PARAMETER,
             given,
-            names: C::ALL.iter().map(|c| c.name()).collect(),
+            names: V::ALL.iter().map(|c| c.name()).collect(),
         }
     }
 }
@@ -74,14 +65,14 @@ fn one_of(names: &[&str]) -> String {
     }
 }
 
-/// Defines one choice: an enum, its names, its numbers on the wire and its default.
-macro_rules! choice {
+/// Defines an enum with the names of its values and its default.
+macro_rules! named_values {
     (
         $(#[$about:meta])*
         $choice:ident($parameter:literal) {
             $( $(#[doc = $line:literal])+ $variant:ident = $name:literal ),+ $(,)?
         }
-        wire $wire:ident, default $standard:ident
+        default $standard:ident
     ) => {
         $(#[$about])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -96,7 +87,7 @@ macro_rules! choice {
             }
         }
 
-        impl Choice for $choice {
+        impl NamedValue for $choice {
             const PARAMETER: &'static str = $parameter;
             const ALL: &'static [Self] = &[$(Self::$variant),+];
 
@@ -106,10 +97,6 @@ macro_rules! choice {
 
             fn about(self) -> &'static str {
                 match self { $(Self::$variant => concat!($($line),+).trim_ascii()),+ }
-            }
-
-            fn to_wire(self) -> i32 {
-                match self { $(Self::$variant => v1::$wire::$variant),+ }.into()
             }
         }
 
@@ -121,9 +108,27 @@ macro_rules! choice {
     };
 }
 
-choice! {
+/// Defines the numbers of such an enum on the wire.
+macro_rules! on_the_wire {
+    ($choice:ident as $wire:ident: $($variant:ident),+) => {
+        impl FieldValue for $choice {
+            type Wire = i32;
+
+            fn from_wire(wire: i32) -> Result<Self, SpecError> {
+                let found = Self::ALL.iter().copied().find(|c| c.to_wire() == wire);
+                Ok(found.ok_or_else(|| UnknownValue::new::<Self>(format!("number {wire}")))?)
+            }
+
+            fn to_wire(self) -> i32 {
+                match self { $(Self::$variant => v1::$wire::$variant),+ }.into()
+            }
+        }
+    };
+}
+
+named_values! {
     /// How much of a cell's visibility is decided, and by which means.
-    Method("method") {
+    MethodName("method") {
         /// Sampling alone: a triangle in the set was seen; a triangle outside it may be visible.
         Aggressive = "aggressive",
         /// Sampling, then exact queries for every triangle that sampling did not show.
@@ -134,12 +139,12 @@ choice! {
         /// triangle without a witness is undecided.
         Portals = "portals",
     }
-    wire Method, default Aggressive
+    default Aggressive
 }
 
-choice! {
+named_values! {
     /// How visibility is sampled.
-    Sampler("sampler") {
+    SamplerName("sampler") {
         /// Sight lines that are shared by all cells they cross and guided by earlier finds.
         Lines = "lines",
         /// Visibility cubes on adaptively split rectangles (Nirenstein and Blake 2004).
@@ -147,25 +152,23 @@ choice! {
         /// A fixed number of guided rays for each cell alone: the baseline of the benchmarks.
         Guided = "guided",
     }
-    wire Sampler, default Lines
+    default Lines
 }
 
-choice! {
-    /// Where rays are traced and cubes rendered.
-    BackendChoice("backend") {
-        /// The first worker times every backend on the scene; the job takes the faster one.
+named_values! {
+    /// What traces rays and renders cubes.
+    TracerChoice("backend") {
+        /// The first worker times every tracer on the scene; the job takes the faster one.
         Auto = "auto",
         /// A GPU or software rasteriser through wgpu.
         Gpu = "gpu",
         /// Embree.
         Cpu = "cpu",
-        /// None: the method portals needs no backend.
-        None = "none",
     }
-    wire Backend, default Auto
+    default Auto
 }
 
-choice! {
+named_values! {
     /// Whether a cell's cubes are rendered with only the triangles that the parent cell saw: superset
     /// simplification (Nirenstein and Blake 2004, section 4.2.1).
     SupersetChoice("superset") {
@@ -176,10 +179,10 @@ choice! {
         /// Never.
         Off = "off",
     }
-    wire Superset, default Auto
+    default Auto
 }
 
-choice! {
+named_values! {
     /// The error measure that decides whether a rectangle is split (Nirenstein and Blake 2004, sections 3.3
     /// to 3.5).
     ErrorMeasure("error-measure") {
@@ -192,10 +195,10 @@ choice! {
         /// No comparison: every rectangle is split down to the minimum distance.
         Uniform = "uniform",
     }
-    wire ErrorMeasure, default Strata
+    default Strata
 }
 
-choice! {
+named_values! {
     /// What the sets of a result name.
     Granularity("granularity") {
         /// Triangles.
@@ -205,10 +208,10 @@ choice! {
         /// Objects: glTF node and primitive, OBJ group.
         Objects = "objects",
     }
-    wire Granularity, default Triangles
+    default Triangles
 }
 
-choice! {
+named_values! {
     /// Whether the result says which cells see which.
     CellToCell("cell-to-cell") {
         /// On with at most 512 cells.
@@ -218,10 +221,21 @@ choice! {
         /// Off.
         Off = "off",
     }
-    wire CellToCell, default Auto
+    default Auto
 }
 
-choice! {
+named_values! {
+    /// How much a single exact query may take.
+    Effort("effort") {
+        /// Enough for nearly every triangle.
+        Full = "full",
+        /// Less, so that no single query takes long.
+        Bounded = "bounded",
+    }
+    default Full
+}
+
+named_values! {
     /// The axis that points up.
     Up("up") {
         /// The y axis, as in glTF.
@@ -229,36 +243,51 @@ choice! {
         /// The z axis.
         Z = "z",
     }
-    wire Up, default Y
+    default Y
 }
+
+on_the_wire!(TracerChoice as Backend: Auto, Gpu, Cpu);
+on_the_wire!(SupersetChoice as Superset: Auto, On, Off);
+on_the_wire!(ErrorMeasure as ErrorMeasure: Strata, Sets, Pixels, Uniform);
+on_the_wire!(Granularity as Granularity: Triangles, Clusters, Objects);
+on_the_wire!(CellToCell as CellToCell: Auto, On, Off);
+on_the_wire!(Effort as Effort: Full, Bounded);
+on_the_wire!(Up as Up: Y, Z);
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn names_and_numbers_lead_back<C: Choice + std::fmt::Debug>() {
-        for choice in C::ALL {
-            assert_eq!(C::from_name(choice.name()), Ok(*choice));
-            assert_eq!(C::from_wire(choice.to_wire()), Ok(*choice));
-            assert!(!choice.about().is_empty());
+    fn every_name_leads_back<V: NamedValue + std::fmt::Debug>() {
+        for value in V::ALL {
+            assert_eq!(V::from_name(value.name()), Ok(*value));
+            assert!(!value.about().is_empty());
         }
-        let unknown = C::from_wire(99).unwrap_err().to_string();
+        let unknown = V::from_name("nonsense").unwrap_err().to_string();
         assert!(
-            unknown.contains(C::PARAMETER) && unknown.contains(C::ALL[0].name()),
+            unknown.contains(V::PARAMETER) && unknown.contains(V::ALL[0].name()),
             "{unknown}"
         );
-        assert!(C::from_name("nonsense").is_err());
+    }
+
+    fn every_number_leads_back<V: NamedValue + FieldValue<Wire = i32> + std::fmt::Debug>() {
+        every_name_leads_back::<V>();
+        for value in V::ALL {
+            assert_eq!(V::from_wire(value.to_wire()).ok(), Some(*value));
+        }
+        assert_eq!(V::from_wire(99).unwrap_err().option(), Some(V::PARAMETER));
     }
 
     #[test]
-    fn every_choice_leads_back_from_its_name_and_number() {
-        names_and_numbers_lead_back::<Method>();
-        names_and_numbers_lead_back::<Sampler>();
-        names_and_numbers_lead_back::<BackendChoice>();
-        names_and_numbers_lead_back::<SupersetChoice>();
-        names_and_numbers_lead_back::<ErrorMeasure>();
-        names_and_numbers_lead_back::<Granularity>();
-        names_and_numbers_lead_back::<CellToCell>();
-        names_and_numbers_lead_back::<Up>();
+    fn every_value_leads_back_from_its_name_and_number() {
+        every_name_leads_back::<MethodName>();
+        every_name_leads_back::<SamplerName>();
+        every_number_leads_back::<TracerChoice>();
+        every_number_leads_back::<SupersetChoice>();
+        every_number_leads_back::<ErrorMeasure>();
+        every_number_leads_back::<Granularity>();
+        every_number_leads_back::<CellToCell>();
+        every_number_leads_back::<Effort>();
+        every_number_leads_back::<Up>();
     }
 }

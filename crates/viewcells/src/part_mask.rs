@@ -1,6 +1,5 @@
-//! Where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold viewpoints, and,
-//! where walls bound them, in which region of space. The boxes of a tree are a grid of one row, in the tree's
-//! order.
+//! The parts of cells where viewpoints can be: for each cell of a grid, which of its 4×4×4 equal parts hold
+//! viewpoints. The boxes of a tree are a grid of one row, in the tree's order.
 //!
 //! A part is marked when a viewpoint may be in it, so the marked parts hold all viewpoints and a margin of at
 //! most a part around them. Cells without a marked part are not sampled. How parts come to be marked (boxes,
@@ -8,59 +7,43 @@
 
 use sightline_numbers::varint;
 
-use crate::region::Region;
-
 /// Parts along each side of a cell.
 pub const PARTS: u32 = 4;
 
-/// Most bytes of an encoded set of viewpoints: well below the size of a message.
-pub const MOST_BYTES: usize = 1 << 20;
-
 /// The marked parts of the cells of a grid. Cells are in the order of their index: x fastest, then y, then z.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Viewpoints {
+pub struct PartMask {
     cells: [u32; 3],
     /// A word for each cell; bit (z·4 + y)·4 + x for the part x, y, z.
     parts: Vec<u64>,
-    /// Viewpoints are in this region alone. Free segments that begin in it do not leave it.
-    region: Option<Region>,
 }
 
 /// Bytes that are no marks of the cells of a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the viewpoints cannot be read: {0}")]
-pub struct ViewpointsError(&'static str);
+pub struct PartMaskError(&'static str);
 
-impl Viewpoints {
-    /// No marks for a grid of this many cells, which [`crate::Division`] has checked.
-    pub fn none(cells: [u32; 3]) -> Self {
+impl PartMaskError {
+    /// The error of bytes that follow the marks where nothing may follow.
+    pub const LONG: Self = Self("bytes follow the marks");
+}
+
+impl PartMask {
+    /// Creates a mask without marks for a grid of this many cells, which [`crate::Division`] has checked.
+    pub fn empty(cells: [u32; 3]) -> Self {
         let count: usize = cells.iter().map(|c| *c as usize).product();
         Self {
             cells,
             parts: vec![0; count],
-            region: None,
         }
     }
 
-    /// The marks of a single cell.
-    pub fn of_one(parts: u64) -> Self {
+    /// Creates the mask of a single cell.
+    pub fn single(parts: u64) -> Self {
         Self {
             cells: [1; 3],
             parts: vec![parts],
-            region: None,
         }
-    }
-
-    /// The same marks, and a region outside which there are no viewpoints. A free segment that begins in the
-    /// region must not leave it.
-    #[must_use]
-    pub fn within(self, region: Option<Region>) -> Self {
-        Self { region, ..self }
-    }
-
-    /// The region that holds all viewpoints, if they are restricted to one.
-    pub fn region(&self) -> Option<&Region> {
-        self.region.as_ref()
     }
 
     /// Cells along each axis.
@@ -75,7 +58,7 @@ impl Viewpoints {
 
     /// Marks a part; coordinates are below [`Self::sides`].
     pub fn mark(&mut self, part: [u32; 3]) {
-        let (cell, bit) = self.place(part);
+        let (cell, bit) = self.position(part);
         self.parts[cell] |= 1 << bit;
     }
 
@@ -86,11 +69,11 @@ impl Viewpoints {
 
     /// Whether a part is marked.
     pub fn has(&self, part: [u32; 3]) -> bool {
-        let (cell, bit) = self.place(part);
+        let (cell, bit) = self.position(part);
         self.parts[cell] >> bit & 1 == 1
     }
 
-    fn place(&self, part: [u32; 3]) -> (usize, u32) {
+    fn position(&self, part: [u32; 3]) -> (usize, u32) {
         let ([x, y, z], [nx, ny, _]) = (
             part.map(|p| (p / PARTS) as usize),
             self.cells.map(|c| c as usize),
@@ -99,8 +82,8 @@ impl Viewpoints {
         ((z * ny + y) * nx + x, (pz * PARTS + py) * PARTS + px)
     }
 
-    /// The marks of the cell with an index.
-    pub fn of(&self, cell: usize) -> u64 {
+    /// Returns the marks of the cell with an index.
+    pub fn parts(&self, cell: usize) -> u64 {
         self.parts[cell]
     }
 
@@ -119,58 +102,47 @@ impl Viewpoints {
         self.parts.iter().map(|p| u64::from(p.count_ones())).sum()
     }
 
-    /// The marks as bytes: runs of equal words, each a LEB128 length and the word. The region's bytes follow,
-    /// if there is one.
+    /// Encodes the marks: runs of equal words, each a LEB128 length and the word.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         for run in self.parts.chunk_by(|a, b| a == b) {
             varint::write(&mut bytes, run.len() as u64);
             bytes.extend(run[0].to_le_bytes());
         }
-        bytes.extend(self.region.iter().flat_map(Region::encode));
         bytes
     }
 
-    /// Reads the marks of a grid of this many cells, which [`crate::Division`] has checked.
+    /// Reads the marks of a grid of this many cells, which [`crate::Division`] has checked, from the front of
+    /// `bytes`, and leaves the rest there.
     ///
     /// # Errors
-    /// [`ViewpointsError`] when the bytes are not those of [`Self::encode`], or no part is marked.
-    pub fn decode(mut bytes: &[u8], cells: [u32; 3]) -> Result<Self, ViewpointsError> {
-        if bytes.len() > MOST_BYTES {
-            return Err(ViewpointsError(
-                "they have too many bytes; use fewer or larger cells",
-            ));
-        }
-        let mut marks = Self::none(cells);
+    /// [`PartMaskError`] when the bytes are not those of [`Self::encode`], or no part is marked.
+    pub fn decode(bytes: &mut &[u8], cells: [u32; 3]) -> Result<Self, PartMaskError> {
+        let mut marks = Self::empty(cells);
         let (mut at, mut before) = (0usize, None);
         while at < marks.parts.len() && !bytes.is_empty() {
-            let length = varint::read(&mut bytes, varint::MOST_BYTES);
-            let length = length.map_err(|_| ViewpointsError("a length is malformed"))?;
+            let length = varint::read(bytes, varint::MOST_BYTES);
+            let length = length.map_err(|_| PartMaskError("a length is malformed"))?;
             let (word, rest) = bytes
                 .split_first_chunk::<8>()
-                .ok_or(ViewpointsError("they are cut short"))?;
-            bytes = rest;
+                .ok_or(PartMaskError("they are cut short"))?;
+            *bytes = rest;
             let word = u64::from_le_bytes(*word);
             let end = usize::try_from(length).ok().and_then(|n| at.checked_add(n));
             let run = end.and_then(|end| marks.parts.get_mut(at..end));
-            let run = run.ok_or(ViewpointsError("they are for more cells than there are"))?;
+            let run = run.ok_or(PartMaskError("they are for more cells than there are"))?;
             // One way of writing each value, because the bytes are part of a job's key.
             if run.is_empty() || before == Some(word) {
-                return Err(ViewpointsError("a run is empty or goes on after its end"));
+                return Err(PartMaskError("a run is empty or goes on after its end"));
             }
             run.fill(word);
             (at, before) = (at + run.len(), Some(word));
         }
         if at != marks.parts.len() {
-            return Err(ViewpointsError("they are for fewer cells than there are"));
-        }
-        if !bytes.is_empty() {
-            let region = Region::decode(bytes);
-            marks.region =
-                Some(region.map_err(|_| ViewpointsError("their region cannot be read"))?);
+            return Err(PartMaskError("they are for fewer cells than there are"));
         }
         if marks.reached() == 0 {
-            return Err(ViewpointsError(
+            return Err(PartMaskError(
                 "no part of any cell is marked; mark at least one",
             ));
         }
@@ -181,7 +153,6 @@ impl Viewpoints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::region::RegionNode;
     use proptest::prelude::*;
 
     proptest! {
@@ -192,33 +163,33 @@ mod tests {
             at in any::<prop::sample::Index>(),
             with in any::<u8>(),
         ) {
-            let mut marks = Viewpoints::none(cells);
+            let mut marks = PartMask::empty(cells);
             let part = |p: [u32; 3]| [0, 1, 2].map(|a| p[a] % (cells[a] * PARTS));
             places.iter().for_each(|p| marks.mark(part(*p)));
             prop_assert!(places.iter().all(|p| marks.has(part(*p))));
             let mut bytes = marks.encode();
-            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(marks.clone()));
-            prop_assert!(Viewpoints::decode(&bytes[..bytes.len() - 1], cells).is_err());
-            let region = Region::new(vec![RegionNode::Split(9), RegionNode::Inside, RegionNode::Outside]);
-            let within = marks.within(region.ok());
-            prop_assert!(within.region().is_some());
-            bytes = within.encode();
-            prop_assert_eq!(Viewpoints::decode(&bytes, cells), Ok(within));
-            prop_assert!(Viewpoints::decode(&bytes[..bytes.len() - 1], cells).is_err());
+            let decode = |mut bytes: &[u8]| PartMask::decode(&mut bytes, cells);
+            prop_assert_eq!(decode(&bytes), Ok(marks));
+            prop_assert!(decode(&bytes[..bytes.len() - 1]).is_err());
+            bytes.push(7);
+            let mut rest = bytes.as_slice();
+            prop_assert!(PartMask::decode(&mut rest, cells).is_ok());
+            prop_assert_eq!(rest, &[7]);
             let at = at.index(bytes.len());
             bytes[at] = with;
-            let _ = Viewpoints::decode(&bytes, cells);
+            let _ = decode(&bytes);
         }
     }
 
     #[test]
     fn a_part_belongs_to_its_cell() {
-        let mut marks = Viewpoints::none([2, 2, 1]);
+        let mut marks = PartMask::empty([2, 2, 1]);
         marks.mark([5, 3, 1]);
         assert_eq!(
-            (0..4).map(|c| marks.of(c)).collect::<Vec<_>>(),
+            (0..4).map(|c| marks.parts(c)).collect::<Vec<_>>(),
             [0, 1 << (16 + 12 + 1), 0, 0]
         );
-        assert!(Viewpoints::decode(&Viewpoints::none([2, 2, 1]).encode(), [2, 2, 1]).is_err());
+        let empty = PartMask::empty([2, 2, 1]).encode();
+        assert!(PartMask::decode(&mut empty.as_slice(), [2, 2, 1]).is_err());
     }
 }

@@ -1,0 +1,476 @@
+//! The view cells of a job: the view box, its division, and where viewpoints can be. Each kind of cells is a
+//! type that its constructor checks, so that a lattice cannot fail later.
+
+use std::sync::Arc;
+
+use sightline_numbers::Aabb;
+use sightline_viewcells::{
+    CellBox, Division, DivisionError, KdTree, Lattice, Layout, PartMask, PartMaskError, Region,
+    USUAL_BLOCK_CELLS,
+};
+
+use super::SpecError;
+use super::numbers::{TileCells, TriangleBudget};
+
+/// Deepest adaptive tree that sight lines sample; visibility cubes make deeper ones.
+pub const MOST_LINE_DEPTH: u32 = 12;
+
+/// Deepest adaptive tree.
+pub const MOST_CUBE_DEPTH: u32 = sightline_viewcells::division::MAX_DEPTH;
+
+/// Most tiles of a grid, about: the scheduler goes through all of them.
+const MOST_TILES: u64 = 1 << 16;
+
+/// Most bytes of encoded viewpoints: well below the size of a message.
+const MOST_BYTES: usize = 1 << 20;
+
+/// A view box with its division into cells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cells {
+    view_box: Aabb,
+    division: Division,
+    lattice: Lattice,
+}
+
+impl Cells {
+    fn new(view_box: Aabb, division: Division) -> Result<Self, DivisionError> {
+        let lattice = division.lattice(view_box.min, view_box.max)?;
+        Ok(Self {
+            view_box,
+            division,
+            lattice,
+        })
+    }
+
+    /// Returns the box of viewpoints, in world space.
+    pub fn view_box(&self) -> Aabb {
+        self.view_box
+    }
+
+    /// Returns the division of the view box.
+    pub fn division(&self) -> &Division {
+        &self.division
+    }
+
+    /// Returns the lattice of sample positions.
+    pub fn lattice(&self) -> &Lattice {
+        &self.lattice
+    }
+
+    /// Returns the grid whose cells marks of viewpoints are for: the boxes of a tree are one row. `None` for
+    /// an adaptive tree, whose cells are not known.
+    fn marked(&self) -> Option<[u32; 3]> {
+        match &self.division {
+            Division::Grid(cells) => Some(*cells),
+            Division::Tree(tree) => Some([tree.boxes() as u32, 1, 1]),
+            Division::Adaptive { .. } => None,
+        }
+    }
+}
+
+/// Where viewpoints can be.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Viewpoints {
+    /// Everywhere in the view box.
+    #[default]
+    Everywhere,
+    /// In marked parts of the cells.
+    Parts(Arc<PartMask>),
+    /// In marked parts of the cells, and there in a region alone. Free segments that begin in the region do
+    /// not leave it.
+    Region(Arc<PartMask>, Arc<Region>),
+}
+
+/// The viewpoints of cells that have no marks.
+static EVERYWHERE: Viewpoints = Viewpoints::Everywhere;
+
+impl Viewpoints {
+    /// Makes the viewpoints of marks and, where there is one, a region.
+    pub fn new(mask: PartMask, region: Option<Region>) -> Self {
+        match region {
+            Some(region) => Self::Region(Arc::new(mask), Arc::new(region)),
+            None => Self::Parts(Arc::new(mask)),
+        }
+    }
+
+    /// Returns the marked parts; `None` for all.
+    pub fn mask(&self) -> Option<&Arc<PartMask>> {
+        match self {
+            Self::Everywhere => None,
+            Self::Parts(mask) | Self::Region(mask, _) => Some(mask),
+        }
+    }
+
+    /// Returns the region, where viewpoints are restricted to one.
+    pub fn region(&self) -> Option<&Arc<Region>> {
+        match self {
+            Self::Everywhere | Self::Parts(_) => None,
+            Self::Region(_, region) => Some(region),
+        }
+    }
+
+    /// Returns the bytes of the message: the marks, then the region. No bytes stand for everywhere.
+    pub(super) fn encode(&self) -> Vec<u8> {
+        let mut bytes = self.mask().map_or_else(Vec::new, |mask| mask.encode());
+        bytes.extend(self.region().iter().flat_map(|region| region.encode()));
+        bytes
+    }
+
+    /// Reads the bytes of the message, for a grid of this many cells, which a [`Division`] has checked.
+    fn decode(mut bytes: &[u8], cells: [u32; 3]) -> Result<Self, SpecError> {
+        if bytes.is_empty() {
+            return Ok(Self::Everywhere);
+        }
+        if bytes.len() > MOST_BYTES {
+            return Err(TOO_FINE);
+        }
+        let mask = PartMask::decode(&mut bytes, cells)?;
+        let region = match bytes {
+            [] => None,
+            region => Some(Region::decode(region)?),
+        };
+        Ok(Self::new(mask, region))
+    }
+}
+
+/// The error of viewpoints whose bytes are too many.
+const TOO_FINE: SpecError = SpecError::new(
+    "viewpoints",
+    "they are too finely divided; use fewer or larger cells, or leave out the region",
+);
+
+/// Checks that viewpoints are for the cells, and small enough for a message.
+fn check_viewpoints(cells: &Cells, viewpoints: &Viewpoints) -> Result<(), SpecError> {
+    let marks = viewpoints.mask().map(|mask| mask.cells());
+    if marks.is_some() && marks != cells.marked() {
+        return Err(SpecError::new(
+            "viewpoints",
+            "give them for the cells of the job's grid, or its boxes",
+        ));
+    }
+    match viewpoints.encode().len() <= MOST_BYTES {
+        true => Ok(()),
+        false => Err(TOO_FINE),
+    }
+}
+
+/// A grid of view cells.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GridCells {
+    cells: Cells,
+    tile_cells: TileCells,
+    viewpoints: Viewpoints,
+}
+
+impl GridCells {
+    /// Divides the view box into this many cells along x, y and z, with the usual tiles and viewpoints
+    /// everywhere.
+    ///
+    /// # Errors
+    /// [`DivisionError`].
+    pub fn new(view_box: Aabb, cells: [u32; 3]) -> Result<Self, DivisionError> {
+        Ok(Self {
+            cells: Cells::new(view_box, Division::Grid(cells))?,
+            tile_cells: TileCells::default(),
+            viewpoints: Viewpoints::Everywhere,
+        })
+    }
+
+    /// Sets the greatest number of cells of a tile.
+    ///
+    /// # Errors
+    /// [`SpecError`] when there would be too many tiles.
+    pub fn with_tile_cells(self, tile_cells: TileCells) -> Result<Self, SpecError> {
+        let cells = self.cells.marked().unwrap_or_default().map(u64::from);
+        // The lattice exists, so the product does not overflow.
+        if cells.iter().product::<u64>() / u64::from(tile_cells.get()) > MOST_TILES {
+            return Err(SpecError::new(
+                TileCells::OPTION,
+                "so few cells a tile make too many tiles; give more cells a tile",
+            ));
+        }
+        Ok(Self { tile_cells, ..self })
+    }
+
+    /// Sets where viewpoints can be.
+    ///
+    /// # Errors
+    /// [`SpecError`] for viewpoints of other cells, or too finely divided ones.
+    pub fn with_viewpoints(self, viewpoints: Viewpoints) -> Result<Self, SpecError> {
+        check_viewpoints(&self.cells, &viewpoints)?;
+        Ok(Self { viewpoints, ..self })
+    }
+
+    /// Sets viewpoints from the bytes of a message.
+    pub(super) fn with_encoded_viewpoints(self, bytes: &[u8]) -> Result<Self, SpecError> {
+        let viewpoints = Viewpoints::decode(bytes, self.cells.marked().unwrap_or_default())?;
+        self.with_viewpoints(viewpoints)
+    }
+
+    /// Returns the number of cells along x, y and z.
+    pub fn sides(&self) -> [u32; 3] {
+        self.cells.marked().unwrap_or_default()
+    }
+
+    /// Returns the greatest number of cells of a tile.
+    pub fn tile_cells(&self) -> TileCells {
+        self.tile_cells
+    }
+
+    /// Returns the view box with its division.
+    pub fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    /// Returns where viewpoints can be.
+    pub fn viewpoints(&self) -> &Viewpoints {
+        &self.viewpoints
+    }
+}
+
+/// The boxes of a kd-tree, of any size. A wall in a face of a box blocks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoxCells {
+    cells: Cells,
+    viewpoints: Viewpoints,
+}
+
+impl BoxCells {
+    /// Divides the view box by a tree, with viewpoints everywhere.
+    ///
+    /// # Errors
+    /// [`DivisionError`].
+    pub fn new(view_box: Aabb, tree: Arc<KdTree>) -> Result<Self, DivisionError> {
+        Ok(Self {
+            cells: Cells::new(view_box, Division::Tree(tree))?,
+            viewpoints: Viewpoints::Everywhere,
+        })
+    }
+
+    /// Sets where viewpoints can be.
+    ///
+    /// # Errors
+    /// [`SpecError`] for viewpoints of other cells, or too finely divided ones.
+    pub fn with_viewpoints(self, viewpoints: Viewpoints) -> Result<Self, SpecError> {
+        check_viewpoints(&self.cells, &viewpoints)?;
+        Ok(Self { viewpoints, ..self })
+    }
+
+    /// Sets viewpoints from the bytes of a message.
+    pub(super) fn with_encoded_viewpoints(self, bytes: &[u8]) -> Result<Self, SpecError> {
+        let viewpoints = Viewpoints::decode(bytes, self.cells.marked().unwrap_or_default())?;
+        self.with_viewpoints(viewpoints)
+    }
+
+    /// Returns the tree.
+    pub(super) fn tree(&self) -> &KdTree {
+        match &self.cells.division {
+            Division::Tree(tree) => tree,
+            Division::Grid(_) | Division::Adaptive { .. } => {
+                unreachable!("boxes have this division")
+            }
+        }
+    }
+
+    /// Returns the view box with its division.
+    pub fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    /// Returns where viewpoints can be.
+    pub fn viewpoints(&self) -> &Viewpoints {
+        &self.viewpoints
+    }
+}
+
+/// A grid of view cells for visibility cubes. Cubes are at the lattice's points, so they know no region, and
+/// the tiles follow from the grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CubeGrid {
+    cells: Cells,
+    viewpoints: Viewpoints,
+}
+
+impl CubeGrid {
+    /// Divides the view box into this many cells along x, y and z, with viewpoints everywhere.
+    ///
+    /// # Errors
+    /// [`DivisionError`].
+    pub fn new(view_box: Aabb, cells: [u32; 3]) -> Result<Self, DivisionError> {
+        Ok(Self {
+            cells: Cells::new(view_box, Division::Grid(cells))?,
+            viewpoints: Viewpoints::Everywhere,
+        })
+    }
+
+    /// Sets the parts of the cells where viewpoints can be.
+    ///
+    /// # Errors
+    /// [`SpecError`] for marks of other cells, or too finely divided ones.
+    pub fn with_mask(self, mask: Arc<PartMask>) -> Result<Self, SpecError> {
+        let viewpoints = Viewpoints::Parts(mask);
+        check_viewpoints(&self.cells, &viewpoints)?;
+        Ok(Self { viewpoints, ..self })
+    }
+
+    /// Sets the marked parts from the bytes of a message.
+    pub(super) fn with_encoded_mask(self, mut bytes: &[u8]) -> Result<Self, SpecError> {
+        if bytes.is_empty() {
+            return Ok(self);
+        }
+        let mask = PartMask::decode(&mut bytes, self.sides())?;
+        if !bytes.is_empty() {
+            return Err(PartMaskError::LONG.into());
+        }
+        self.with_mask(Arc::new(mask))
+    }
+
+    /// Returns the number of cells along x, y and z.
+    pub fn sides(&self) -> [u32; 3] {
+        self.cells.marked().unwrap_or_default()
+    }
+
+    /// Returns the view box with its division.
+    pub fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    /// Returns where viewpoints can be.
+    pub fn viewpoints(&self) -> &Viewpoints {
+        &self.viewpoints
+    }
+}
+
+/// The cells of an adaptive tree of at most `DEPTH` levels. Where they are is known after the bake.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adaptive<const DEPTH: u32> {
+    cells: Cells,
+}
+
+impl<const DEPTH: u32> Adaptive<DEPTH> {
+    /// Halves cells of the view box until at most `budget` triangles are visible from a cell or the tree is
+    /// `max_depth` deep.
+    ///
+    /// # Errors
+    /// [`SpecError`] for a deeper tree than the sampler makes, or a view box that cannot be divided.
+    pub fn new(view_box: Aabb, budget: TriangleBudget, max_depth: u32) -> Result<Self, SpecError> {
+        let budget = budget.get();
+        let cells = Cells::new(view_box, Division::Adaptive { budget, max_depth })?;
+        if max_depth > DEPTH {
+            return Err(SpecError::new(
+                "max-depth",
+                "trees deeper than 12 are sampled with cubes",
+            ));
+        }
+        Ok(Self { cells })
+    }
+
+    /// Returns the view box with its division.
+    pub fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    /// Returns the triangle budget and the greatest depth.
+    pub(super) fn limits(&self) -> (u32, u32) {
+        match self.cells.division {
+            Division::Adaptive { budget, max_depth } => (budget, max_depth),
+            Division::Grid(_) | Division::Tree(_) => {
+                unreachable!("an adaptive tree has this division")
+            }
+        }
+    }
+}
+
+/// Cells that are known before the bake.
+#[derive(Clone, Debug, PartialEq)]
+pub enum KnownCells {
+    /// Cells of equal size.
+    Grid(GridCells),
+    /// Boxes along walls.
+    Boxes(BoxCells),
+}
+
+/// Cells that visibility cubes sample.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CubeCells {
+    /// Cells of equal size.
+    Grid(CubeGrid),
+    /// Smaller cells where more is seen.
+    Adaptive(Adaptive<MOST_CUBE_DEPTH>),
+}
+
+/// What all kinds of cells have in common.
+pub(super) trait AnyCells {
+    fn cells(&self) -> &Cells;
+    fn viewpoints(&self) -> &Viewpoints;
+    /// How the cells are divided into tiles.
+    fn layout(&self) -> Layout;
+}
+
+impl AnyCells for KnownCells {
+    fn cells(&self) -> &Cells {
+        match self {
+            Self::Grid(grid) => &grid.cells,
+            Self::Boxes(boxes) => &boxes.cells,
+        }
+    }
+
+    fn viewpoints(&self) -> &Viewpoints {
+        match self {
+            Self::Grid(grid) => &grid.viewpoints,
+            Self::Boxes(boxes) => &boxes.viewpoints,
+        }
+    }
+
+    fn layout(&self) -> Layout {
+        match self {
+            Self::Grid(grid) => Layout::Blocks(grid.tile_cells.get()),
+            // Each box is a tile, whatever the number.
+            Self::Boxes(_) => Layout::Blocks(USUAL_BLOCK_CELLS),
+        }
+    }
+}
+
+impl AnyCells for CubeCells {
+    fn cells(&self) -> &Cells {
+        match self {
+            Self::Grid(grid) => &grid.cells,
+            Self::Adaptive(tree) => &tree.cells,
+        }
+    }
+
+    fn viewpoints(&self) -> &Viewpoints {
+        match self {
+            Self::Grid(grid) => &grid.viewpoints,
+            Self::Adaptive(_) => &EVERYWHERE,
+        }
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::Samples
+    }
+}
+
+impl AnyCells for Adaptive<MOST_LINE_DEPTH> {
+    fn cells(&self) -> &Cells {
+        &self.cells
+    }
+
+    fn viewpoints(&self) -> &Viewpoints {
+        &EVERYWHERE
+    }
+
+    fn layout(&self) -> Layout {
+        // A tile is a subtree below the levels that are always split, whatever the number.
+        Layout::Blocks(USUAL_BLOCK_CELLS)
+    }
+}
+
+/// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints are.
+pub(super) fn marks(cells: &Cells, viewpoints: &Viewpoints, cell: &CellBox) -> u64 {
+    let number = cells.division.number(&cells.lattice, cell);
+    match (viewpoints.mask(), number) {
+        (Some(mask), Some(number)) => mask.parts(number),
+        _ => u64::MAX,
+    }
+}

@@ -1,0 +1,70 @@
+//! The fit of a job to its scene: what a job asks of the triangles.
+
+use glam::Vec3;
+use sightline_numbers::Aabb;
+
+use super::{JobSpec, SpecError, Task};
+
+/// The facts about a scene on which a job depends.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SceneFacts {
+    /// The number of its triangles.
+    pub triangles: u32,
+    /// The scene's bounds in world space, which are the view box of a message that has none.
+    pub bounds: Option<Aabb>,
+    /// Whether triangles block where their alpha mask says so.
+    pub has_masks: bool,
+    /// Whether triangles are seen from their front sides alone.
+    pub is_culled: bool,
+}
+
+impl SceneFacts {
+    /// Returns the view box of a message that gives these corners, or none.
+    pub(super) fn view_box(&self, corners: &[f32]) -> Result<Aabb, SpecError> {
+        match (corners, self.bounds) {
+            (&[x0, y0, z0, x1, y1, z1], _) => {
+                Ok(Aabb::new(Vec3::new(x0, y0, z0), Vec3::new(x1, y1, z1)))
+            }
+            ([], Some(bounds)) => Ok(bounds),
+            _ => Err(SpecError::NO_VIEW_BOX),
+        }
+    }
+}
+
+impl JobSpec {
+    /// Checks that a scene has what the job asks of it.
+    ///
+    /// # Errors
+    /// [`SpecError`] for alpha masks and culled faces with methods that decide, and for viewpoints in a region
+    /// of another scene.
+    pub fn fits(&self, scene: &SceneFacts) -> Result<(), SpecError> {
+        let Task::Visibility(task) = &self.task else {
+            return Ok(());
+        };
+        if task.is_decided() && scene.has_masks {
+            return Err(SpecError::new(
+                "method",
+                "exact queries do not read alpha masks; give aggressive, or --opaque or --see-through for \
+                 the masked triangles",
+            ));
+        }
+        if task.is_decided() && scene.is_culled {
+            return Err(SpecError::new(
+                "method",
+                "exact queries take every triangle as seen from both sides; give aggressive, or leave out \
+                 --cull-back-faces",
+            ));
+        }
+        let greatest = task
+            .viewpoints()
+            .region()
+            .and_then(|r| r.greatest_triangle());
+        if greatest.is_some_and(|triangle| triangle >= scene.triangles) {
+            return Err(SpecError::new(
+                "viewpoints",
+                "their region names a triangle that the scene does not have; give those of this scene",
+            ));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,276 @@
+//! The task of visibility: for each view cell, what is visible from it, and by which method that is decided.
+
+use sightline_numbers::Aabb;
+use sightline_viewcells::{CellBox, Division, Lattice, Plan, USUAL_BLOCK_CELLS};
+
+use super::cells::{AnyCells, Cells, KnownCells, MOST_LINE_DEPTH, Viewpoints, marks};
+use super::names::{CellToCell, Effort, Granularity, MethodName, Up};
+use super::numbers::{Length, TimeBudget};
+use super::sampler::{Sampler, Sampling};
+
+/// Most cells of a job that says which cells see which without being asked: those of a usual tile. With
+/// several tiles, each walks its lines through the whole division once more.
+const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
+
+/// What is computed for the view cells of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Visibility {
+    /// How visibility is decided.
+    pub method: Method,
+    /// The distance from the viewpoint where sight lines end; `None` for no end.
+    pub far: Option<Length>,
+    /// Whether the result says which cells see which.
+    pub pairs: CellToCell,
+    /// Seed of all random numbers.
+    pub seed: u64,
+    /// The axis that points up, if it is known. It changes no set.
+    pub up: Option<Up>,
+}
+
+/// How much of a cell's visibility is decided, and by which means.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Method {
+    /// Sampling alone: a triangle in the set was seen; a triangle outside it may be visible.
+    Aggressive {
+        /// How cells are sampled.
+        sampling: Sampling,
+        /// What the sets name.
+        items: Granularity,
+    },
+    /// Sampling, then exact queries for every triangle that sampling did not show.
+    Exact {
+        /// How cells are sampled.
+        sampling: Sampling,
+        /// How much a single query may take.
+        effort: Effort,
+        /// Whether witnesses and certificates are kept.
+        certificates: bool,
+    },
+    /// No sampling: what is behind walls is hidden, as the portals between the parts of the scene show. A
+    /// triangle without a witness is undecided.
+    Portals {
+        /// The cells.
+        cells: KnownCells,
+        /// When the work stops with what is decided by then.
+        time: Option<TimeBudget>,
+    },
+}
+
+impl Method {
+    /// Makes the method aggressive, with sets of triangles.
+    pub fn aggressive(sampling: Sampling) -> Self {
+        Self::Aggressive {
+            sampling,
+            items: Granularity::Triangles,
+        }
+    }
+
+    /// Makes an exact method without certificates.
+    pub fn exact(sampling: Sampling, effort: Effort) -> Self {
+        Self::Exact {
+            sampling,
+            effort,
+            certificates: false,
+        }
+    }
+
+    /// Makes the method portals without a time budget.
+    pub fn portals(cells: KnownCells) -> Self {
+        Self::Portals { cells, time: None }
+    }
+
+    /// Returns the method's name.
+    pub fn name(&self) -> MethodName {
+        match self {
+            Self::Aggressive { .. } => MethodName::Aggressive,
+            Self::Exact {
+                effort: Effort::Full,
+                ..
+            } => MethodName::Exact,
+            Self::Exact {
+                effort: Effort::Bounded,
+                ..
+            } => MethodName::Verified,
+            Self::Portals { .. } => MethodName::Portals,
+        }
+    }
+
+    fn any_cells(&self) -> &dyn AnyCells {
+        match self {
+            Self::Aggressive { sampling, .. } | Self::Exact { sampling, .. } => {
+                sampling.sampler.cells()
+            }
+            Self::Portals { cells, .. } => cells,
+        }
+    }
+}
+
+impl From<Method> for Visibility {
+    /// Makes the task of a method, with the defaults of everything else.
+    fn from(method: Method) -> Self {
+        Self {
+            method,
+            far: None,
+            pairs: CellToCell::default(),
+            seed: 0,
+            up: None,
+        }
+    }
+}
+
+impl Visibility {
+    /// Returns the view box with its division.
+    pub fn cells(&self) -> &Cells {
+        self.method.any_cells().cells()
+    }
+
+    /// Returns the box of viewpoints, in world space.
+    pub fn view_box(&self) -> Aabb {
+        self.cells().view_box()
+    }
+
+    /// Returns the division of the view box.
+    pub fn division(&self) -> &Division {
+        self.cells().division()
+    }
+
+    /// Returns the lattice of sample positions.
+    pub fn lattice(&self) -> &Lattice {
+        self.cells().lattice()
+    }
+
+    /// Returns where viewpoints can be.
+    pub fn viewpoints(&self) -> &Viewpoints {
+        self.method.any_cells().viewpoints()
+    }
+
+    /// Returns the sampling; the method portals has none.
+    pub fn sampling(&self) -> Option<&Sampling> {
+        match &self.method {
+            Method::Aggressive { sampling, .. } | Method::Exact { sampling, .. } => Some(sampling),
+            Method::Portals { .. } => None,
+        }
+    }
+
+    /// Returns the time budget.
+    pub fn time_budget(&self) -> Option<TimeBudget> {
+        match &self.method {
+            Method::Aggressive { sampling, .. } | Method::Exact { sampling, .. } => {
+                sampling.sampler.time()
+            }
+            Method::Portals { time, .. } => *time,
+        }
+    }
+
+    /// Returns what the sets name.
+    pub fn items(&self) -> Granularity {
+        match self.method {
+            Method::Aggressive { items, .. } => items,
+            Method::Exact { .. } | Method::Portals { .. } => Granularity::Triangles,
+        }
+    }
+
+    /// Returns true if triangles without a witness are decided, or stand as undecided: with every method but
+    /// aggressive.
+    pub fn is_decided(&self) -> bool {
+        !matches!(self.method, Method::Aggressive { .. })
+    }
+
+    /// Returns true if witnesses and certificates are kept.
+    pub fn has_certificates(&self) -> bool {
+        matches!(
+            self.method,
+            Method::Exact {
+                certificates: true,
+                ..
+            }
+        )
+    }
+
+    /// Returns true if the share of the view that each visible item takes is measured.
+    pub fn has_contributions(&self) -> bool {
+        self.sampling()
+            .is_some_and(|sampling| sampling.contributions)
+    }
+
+    /// Returns true if the result has the scene divided along its walls, for look-ups from a point: with the
+    /// method portals, and of exact methods where walls enclose the viewpoints. The first tile has it.
+    pub fn has_portals(&self) -> bool {
+        match self.method {
+            Method::Portals { .. } => true,
+            Method::Exact { .. } => self.viewpoints().region().is_some(),
+            Method::Aggressive { .. } => false,
+        }
+    }
+
+    /// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints
+    /// are.
+    pub fn marks(&self, cell: &CellBox) -> u64 {
+        marks(self.cells(), self.viewpoints(), cell)
+    }
+
+    /// Returns the cells over which a tile says which see which: the regular grid over the view box with this
+    /// many cells along each axis, or `None` when the job does not ask. An adaptive tree has a grid of the
+    /// cells of its deepest level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this
+    /// grid, or, with deeper trees, several are in one.
+    pub fn pair_cells(&self) -> Option<[u32; 3]> {
+        let few = |sides: &[u32; 3]| count(*sides) <= FEW_PAIR_CELLS;
+        match self.pairs {
+            CellToCell::Auto => self.pair_grid().filter(few),
+            CellToCell::On => self.pair_grid(),
+            CellToCell::Off => None,
+        }
+    }
+
+    /// Returns the grid over which pairs of cells can be told; `None` where they cannot.
+    pub(super) fn pair_grid(&self) -> Option<[u32; 3]> {
+        if let Method::Portals { .. } = self.method {
+            return None;
+        }
+        match *self.division() {
+            Division::Grid(cells) => Some(cells),
+            Division::Tree(_) => None,
+            Division::Adaptive { max_depth, .. } => {
+                // An adaptive tree halves the longest side.
+                let Aabb { min, max } = self.view_box();
+                let size = [0, 1, 2].map(|a| f64::from(max[a]) - f64::from(min[a]));
+                let mut cells = [1u32; 3];
+                for _ in 0..max_depth.min(MOST_LINE_DEPTH) {
+                    let side = |a: usize| size[a] / f64::from(cells[a]);
+                    let longer = |longest, a| if side(a) > side(longest) { a } else { longest };
+                    let axis = (1..3).fold(0, longer);
+                    cells[axis] *= 2;
+                }
+                Some(cells)
+            }
+        }
+    }
+
+    /// Returns the fraction of the thinnest view cell by which rounding to single precision can displace a
+    /// sight line; 0 for jobs whose sets do not depend on it, because exact queries find the triangles that
+    /// sampling misses.
+    ///
+    /// # Errors
+    /// [`DivisionError`](sightline_viewcells::DivisionError) when the cells are thinner than rounding.
+    pub fn rounding_displacement(&self) -> Result<f64, sightline_viewcells::DivisionError> {
+        match &self.method {
+            Method::Aggressive { sampling, .. }
+                if matches!(sampling.sampler, Sampler::Lines { .. }) =>
+            {
+                self.division().rounding_displacement(self.lattice())
+            }
+            _ => Ok(0.0),
+        }
+    }
+
+    /// Returns the plan of tiles.
+    pub(super) fn plan(&self) -> Plan {
+        let layout = self.method.any_cells().layout();
+        Plan::new(self.division(), self.lattice(), layout)
+    }
+}
+
+/// Returns the number of cells of a grid, which a division has checked.
+pub(super) fn count(sides: [u32; 3]) -> u64 {
+    sides.map(u64::from).iter().product()
+}

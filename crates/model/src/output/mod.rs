@@ -1,0 +1,9 @@
+//! The outputs of tiles: sets, samples and pairs of cells, their statistics, and their bytes.
+
+pub mod bound;
+pub mod codec;
+pub mod pairs;
+mod sets;
+pub mod statistics;
+
+pub use sets::*;
