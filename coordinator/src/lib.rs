@@ -24,7 +24,6 @@
 //! ```
 
 pub mod access;
-mod assemble;
 pub mod blobs;
 pub mod clock;
 mod dispatch;

@@ -11,8 +11,8 @@ use std::sync::{
 };
 use std::time::{Duration, Instant};
 
+use sightline_assemble::SceneSummary;
 use sightline_model::receivers::Facts;
-use sightline_scene::{Aabb, Kinds, Object, Source};
 use sightline_traces::Traces;
 use tokio::sync::Semaphore;
 
@@ -63,18 +63,6 @@ impl Default for Leases {
     }
 }
 
-/// The facts about a scene that the coordinator needs, without the triangles.
-pub(crate) struct SceneFacts {
-    pub(crate) triangles: u32,
-    pub(crate) objects: Vec<Object>,
-    pub(crate) bounds: Aabb,
-    pub(crate) kinds: Kinds,
-    /// The places of the objects in their glTF file; empty for other files.
-    pub(crate) sources: Vec<Source>,
-    /// Whether some triangles have one side.
-    pub(crate) culled: bool,
-}
-
 /// Receivers that are stored.
 #[derive(Clone, Debug)]
 pub(crate) struct StoredReceivers {
@@ -106,7 +94,7 @@ pub struct Coordinator {
     /// Shared by those who commit outputs, exclusive for who removes outputs.
     outputs: RwLock<()>,
     /// The facts of the scene used last: consecutive jobs often have the same scene.
-    pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneFacts>)>>,
+    pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneSummary>)>>,
     /// What was to be known of receivers last: the tiles of a job have the same.
     pub(crate) last_receivers: Mutex<Option<(Digest, StoredReceivers)>>,
     /// The result of a part of a job that was made last.

@@ -40,3 +40,6 @@ impl std::fmt::Debug for v1::Address {
 
 /// The compiled descriptors of the .proto files, for gRPC reflection.
 pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+
+/// The version of the messages between coordinator and worker, which `Hello` names.
+pub const PROTOCOL: u32 = 2;

@@ -279,6 +279,7 @@ fn a_large_farm_is_shown() {
                 name: format!("w{number:03}"),
                 profiles: vec!["cpu/none".to_owned()],
                 algorithm: sightline_model::ALGORITHM_VERSION,
+                protocol: sightline_proto::PROTOCOL,
                 ..Default::default()
             });
             let (say, said) = tokio::sync::mpsc::channel(1);

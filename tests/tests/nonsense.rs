@@ -172,6 +172,7 @@ fn straight(job: u64, spec: &v1::JobSpec) -> Vec<(&'static str, Vec<u8>)> {
         held: vec![held; 3],
         version: "0".to_owned(),
         algorithm: sightline_model::ALGORITHM_VERSION,
+        protocol: sightline_proto::PROTOCOL,
         instance: 1,
         helps: true,
         identity: vec![7; 24],

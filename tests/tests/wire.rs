@@ -36,6 +36,7 @@ fn liar(profiles: &[String]) -> v1::Hello {
         name: "liar".to_owned(),
         profiles: profiles.to_vec(),
         algorithm: sightline_model::ALGORITHM_VERSION,
+        protocol: sightline_proto::PROTOCOL,
         ..Default::default()
     }
 }
@@ -335,6 +336,7 @@ async fn requests_are_refused_with_the_right_code() {
             name: name.to_owned(),
             profiles: profiles.iter().map(|p| (*p).to_owned()).collect(),
             algorithm: sightline_model::ALGORITHM_VERSION,
+            protocol: sightline_proto::PROTOCOL,
             ..Default::default()
         })
     };
@@ -350,6 +352,18 @@ async fn requests_are_refused_with_the_right_code() {
         }]);
         refused(workers.work(messages).await, Code::InvalidArgument);
     }
+    // A worker of an earlier version.
+    let hello = v1::worker_message::Message::Hello(v1::Hello {
+        protocol: 0,
+        ..liar(&["cpu/x".to_owned()])
+    });
+    let message = Some(hello);
+    let messages = tokio_stream::iter([v1::WorkerMessage { message }]);
+    let refusal = refused(workers.work(messages).await, Code::InvalidArgument);
+    assert!(
+        refusal.contains("version 1") && refusal.contains("version 2"),
+        "{refusal}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -631,6 +645,7 @@ async fn fail_everywhere(channel: &Channel, profile: &str) -> u32 {
             name: name.to_owned(),
             profiles: vec![profile.to_owned()],
             algorithm: sightline_model::ALGORITHM_VERSION,
+            protocol: sightline_proto::PROTOCOL,
             ..Default::default()
         }))
         .await;

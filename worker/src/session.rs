@@ -212,6 +212,7 @@ impl Worker {
             held: self.held.values().map(|h| h.lease).collect(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             algorithm: sightline_model::ALGORITHM_VERSION,
+            protocol: sightline_proto::PROTOCOL,
             instance: self.instance,
             identity: self.identity.clone(),
             helps: self.shop.config.helps,

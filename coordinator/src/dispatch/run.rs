@@ -7,14 +7,16 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use crate::assemble::result::stand_in;
+use sightline_model::PlannedJob;
+
 use crate::dispatch::{FollowUp, tell};
+use crate::ids::{Digest, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::results::finalize;
 use crate::scheduler::{Event, StoreCommand};
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobState, StoreError, TileCheck};
+use crate::store::{BlobError, JobPhase, JobState, StoreError, TileCheck};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Passes an event to the scheduler and runs its follow-ups. Blocks on the disk.
@@ -131,7 +133,7 @@ fn outcome(
             reason,
         } => {
             for &tile in tiles {
-                let made = stand_in(c, work, tile);
+                let made = set_aside(c, work, tile);
                 let (digest, bytes) = match made {
                     Ok(made) => made,
                     Err(e) => {
@@ -211,4 +213,14 @@ fn outcome(
             changed(record)
         }
     }
+}
+/// Stores the placeholder of a tile; returns its digest and length.
+fn set_aside(
+    c: &Coordinator,
+    work: &PlannedJob,
+    tile: TileIndex,
+) -> Result<(Digest, u64), BlobError> {
+    let made = sightline_assemble::placeholder(work, &work.plan().tiles[tile.at()]);
+    let bytes = made.map_err(|e| c.blobs.io_error(e))?;
+    Ok((c.blobs.put(&bytes)?, bytes.len() as u64))
 }

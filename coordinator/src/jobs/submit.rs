@@ -97,7 +97,7 @@ pub(crate) fn submit(
             triangles: facts.triangles,
             bounds: None,
             has_masks: facts.kinds.any_masked(),
-            is_culled: facts.culled,
+            is_culled: facts.is_culled,
         };
         spec.fits(&scene)?;
     }

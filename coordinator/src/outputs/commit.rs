@@ -3,14 +3,13 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use sightline_model::codec;
-use sightline_model::{CellSet, Node, PlannedJob, Task, TileOutput, Visibility};
-use sightline_pvs::Portals;
+use sightline_assemble::OutputError;
+use sightline_assemble::check::{self, SceneSize};
+use sightline_assemble::openness::{self, AnswerError};
+use sightline_model::{PlannedJob, Task, codec};
 use sightline_traces::Begun;
-use sightline_viewcells::{CellBox, Division, Tile, TileKind};
+use sightline_viewcells::Tile;
 
-use crate::assemble::openness::{self, AnswerError};
-use crate::assemble::result::{expected_nodes, most_items};
 use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Digest, JobId, Lease, hex};
@@ -19,15 +18,13 @@ use crate::quota::Sender;
 use crate::scheduler::{Admitted, Event, NoTile};
 use crate::state::Coordinator;
 use crate::store::{
-    Address, BlobError, CommitOutcome, MAX_HELPERS, SceneRecord, Staged, StoreError, TileResult,
-    TileStats,
+    Address, BlobError, CommitOutcome, MAX_HELPERS, Staged, StoreError, TileResult, TileStats,
 };
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
+use crate::uploads::receivers::{self, Fault};
 use crate::uploads::spool::{Spool, SpoolError};
 
-/// What a cell has besides its set, at most.
-const LEAST_UNPACKED: u64 = 4096;
 /// Maximum size of an output that is checked while others are, packed and unpacked, in bytes. Larger ones are
 /// checked one at a time.
 pub(crate) const MAX_LIGHT: u64 = 8 << 20;
@@ -75,9 +72,6 @@ pub(crate) enum ResultError {
     /// The chunks differ from the announced ones, or there is no room for them.
     #[error(transparent)]
     Spool(SpoolError),
-    /// The output unpacks to much, so that it is checked when no other large one is.
-    #[error("the output is large and was not checked yet")]
-    Large,
     /// The worker has not written the output, or another one.
     #[error("the output is not where it was to be written ({0}); send it")]
     Unstaged(String),
@@ -94,32 +88,12 @@ pub(crate) enum ResultError {
         .0.id.number, .0.tile, .0.job, .0.id.epoch.0
     )]
     NoLease(Lease),
-    /// The bytes are not an encoded output.
+    /// The output is not that of its tile.
+    #[error(transparent)]
+    Output(OutputError),
+    /// The output is not the answers of its tile's receivers.
     #[error("{0}")]
-    Encoding(String),
-    /// The tree of the cells is not the tile's.
-    #[error("the output's cells are not those of the tile's grid")]
-    Cells,
-    /// The cells without viewpoints are not those of the job.
-    #[error("the output's cells without viewpoints are not those of the job")]
-    Viewpoints,
-    /// The first tile of the method portals has the portals of the result, and no other has.
-    #[error("the output's portals cannot be read, or it lacks them, or it has some and should not")]
-    Portals,
-    /// The job asks for contributions and the output has none, or the other way round.
-    #[error(
-        "the output has no contributions and the job asks for them, or has some and the job does not"
-    )]
-    Contributions,
-    /// The cells were decided by another method.
-    #[error("the output's cells are not decided by the job's method")]
-    Method,
-    /// Pairs of cells are missing, or over other cells.
-    #[error("the output's pairs of cells are not over the cells of the job")]
-    Pairs,
-    /// Samples in place of cells, or cells in place of samples.
-    #[error("the output is not of the tile's kind")]
-    Kind,
+    Answers(String),
     /// The tile has another result.
     #[error("another result for this tile is already there; this worker's machine needs a look")]
     Conflict,
@@ -153,7 +127,7 @@ impl From<SpoolError> for ResultError {
 /// The outputs that a check may unpack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Weight {
-    /// Outputs of at most [`MAX_LIGHT`] bytes; others are [`ResultError::Large`].
+    /// Outputs of at most [`MAX_LIGHT`] bytes; others are [`OutputError::Large`].
     Light,
     /// All of them. The caller holds the right to a large one.
     Any,
@@ -193,17 +167,15 @@ pub(crate) fn address(c: &Coordinator, staged: &Staged) -> Result<Option<Address
     most.map_or(Ok(None), |most| presigned::writing(c, staged, most))
 }
 
-/// Returns the maximum length of a tile's output before it is unpacked. Packing adds little to bytes that it
-/// cannot shorten.
+/// Returns the maximum length of a tile's output before it is unpacked.
 fn most_packed(c: &Coordinator, work: &PlannedJob, lease: Lease) -> Result<u64, ResultError> {
-    let Task::Visibility(task) = &work.spec().task else {
-        return Ok(codec::MAX_UNPACKED);
-    };
-    let tile = tile_of(work, lease)?;
-    let scene = c.store.scene(&work.spec().scene)?;
-    let items = most_items_of(task, scene.as_ref(), tile.kind);
-    let unpacked = most_unpacked(task, tile.cells, items, tile.kind != TileKind::Leaf);
-    Ok(packed(unpacked))
+    match &work.spec().task {
+        Task::Ambient(_) => Ok(codec::MAX_UNPACKED),
+        Task::Visibility(task) => {
+            let tile = tile_of(work, lease)?;
+            Ok(check::most_packed(task, tile, scene_size(c, work)?))
+        }
+    }
 }
 
 /// Returns the tile of a lease.
@@ -212,20 +184,13 @@ fn tile_of(work: &PlannedJob, lease: Lease) -> Result<&Tile, ResultError> {
     tile.ok_or(ResultError::NoTile)
 }
 
-/// Returns the maximum packed length of an output, by its unpacked length, in bytes.
-fn packed(unpacked: u64) -> u64 {
-    unpacked
-        .saturating_add(unpacked / 64)
-        .saturating_add(LEAST_UNPACKED)
-        .min(codec::MAX_UNPACKED)
-}
-
-/// Returns the number of items that an output of a kind can name.
-fn most_items_of(task: &Visibility, scene: Option<&SceneRecord>, kind: TileKind) -> u32 {
-    scene.map_or(0, |s| match kind {
-        TileKind::Leaf => most_items(task, s.triangles, s.objects),
-        TileKind::Face(_) | TileKind::Separator(_) => s.triangles,
-    })
+/// Returns the numbers of what a job's scene has.
+fn scene_size(c: &Coordinator, work: &PlannedJob) -> Result<SceneSize, ResultError> {
+    let record = c.store.scene(&work.spec().scene)?;
+    Ok(record.map_or_else(SceneSize::default, |record| SceneSize {
+        triangles: record.triangles,
+        objects: record.objects,
+    }))
 }
 
 /// Checks and commits a tile's output, then does what follows from it.
@@ -243,7 +208,7 @@ pub(crate) fn put(
                 .and_then(|bytes| commit(c, announced, &bytes, Some(staged), weight));
             let waits = |e: &ResultError| match e {
                 ResultError::Blob(e) => e.passes(),
-                ResultError::Store(_) | ResultError::Large => true,
+                ResultError::Store(_) | ResultError::Output(OutputError::Large) => true,
                 _ => false,
             };
             // The worker names it again after what passes.
@@ -295,121 +260,28 @@ fn check(
     if announced.bytes != bytes.len() as u64 {
         return Err(ResultError::Length);
     }
-    let task = match &work.spec().task {
+    let (tile, number) = (tile_of(work, announced.lease)?, announced.lease.tile.0);
+    match &work.spec().task {
         Task::Ambient(ambient) => {
-            let checked = openness::check(c, ambient, announced.lease.tile, bytes);
-            return checked.map_err(|e| match e {
+            let stored = receivers::stored(c, ambient.receivers).map_err(|e| match e {
+                Fault::Blob(e) if e.passes() => ResultError::Blob(e),
+                e => ResultError::Answers(format!("the job's receivers: {e}")),
+            })?;
+            let checked = openness::check(ambient, &stored.facts, number, bytes);
+            checked.map_err(|e: AnswerError<BlobError>| match e {
                 AnswerError::NoTile => ResultError::NoTile,
-                AnswerError::Blob(e) => ResultError::Blob(e),
-                e @ (AnswerError::Receivers(_) | AnswerError::Openness(_)) => {
-                    ResultError::Encoding(e.to_string())
-                }
-            });
+                e => ResultError::Answers(e.to_string()),
+            })
         }
-        Task::Visibility(task) => task,
-    };
-    let tile = tile_of(work, announced.lease)?;
-    let kind = tile.kind;
-    let scene = c.store.scene(&work.spec().scene)?;
-    let expected = expected_nodes(task, tile);
-    let items = most_items_of(task, scene.as_ref(), kind);
-    let pairs = task.pair_cells().map(|sides| sides.iter().product::<u32>());
-    let unreached = expected
-        .as_ref()
-        .map_or_else(Vec::new, |nodes| unreached(task, &tile.cell, nodes));
-    let (exact, hits) = (task.is_decided(), task.has_contributions());
-    let is_pack = kind != TileKind::Leaf;
-    let most = most_unpacked(task, tile.cells, items, is_pack);
-    let now = if weight == Weight::Light {
-        most.min(MAX_LIGHT)
-    } else {
-        most
-    };
-    let output = codec::check(bytes, items, is_pack, now).map_err(|e| match e {
-        e if e.is_too_large() && now < most => ResultError::Large,
-        e => ResultError::Encoding(e.to_string()),
-    })?;
-    match (&output, kind) {
-        (TileOutput::Cells(sets), TileKind::Leaf) => {
-            if expected.is_some_and(|nodes| nodes != sets.nodes) {
-                return Err(ResultError::Cells);
-            }
-            if sets.cells.iter().any(|c| c.decision.is_some() != exact) {
-                return Err(ResultError::Method);
-            }
-            if sets
-                .pairs
-                .as_ref()
-                .map(|p| (p.seen.cells(), p.hidden.is_some()))
-                != pairs.map(|n| (n, exact))
-            {
-                return Err(ResultError::Pairs);
-            }
-            let as_asked = |(cell, unreached): (&CellSet, &bool)| cell.unreached == *unreached;
-            if !unreached.is_empty() && !sets.cells.iter().zip(&unreached).all(as_asked)
-                || unreached.is_empty() && sets.cells.iter().any(|c| c.unreached)
-            {
-                return Err(ResultError::Viewpoints);
-            }
-            let has_portals = task.has_portals() && announced.lease.tile.at() == 0;
-            let is_table = |bytes: &[u8]| {
-                Portals::decode(bytes, scene.as_ref().map_or(0, |s| s.triangles)).is_ok()
+        Task::Visibility(task) => {
+            let most = match weight {
+                Weight::Light => MAX_LIGHT,
+                Weight::Any => u64::MAX,
             };
-            if has_portals && !is_table(&sets.portals) || !has_portals && !sets.portals.is_empty() {
-                return Err(ResultError::Portals);
-            }
-            if sets.cells.iter().any(|c| c.hits.is_some() != hits) {
-                return Err(ResultError::Contributions);
-            }
-            Ok(sets.cells.len() as u64)
-        }
-        (TileOutput::Pack(_), TileKind::Face(_) | TileKind::Separator(_)) => Ok(0),
-        _ => Err(ResultError::Kind),
-    }
-}
-
-/// Most bytes that an output of so many cells unpacks to. A set has at most all items, each with a
-/// difference and a count of at most five bytes; proofs and packs have no such bound.
-fn most_unpacked(task: &Visibility, cells: u64, items: u32, is_pack: bool) -> u64 {
-    if is_pack || task.is_decided() || task.has_portals() || cells == 0 {
-        return codec::MAX_UNPACKED;
-    }
-    let pairs = task.pair_cells().map_or(0, |sides| {
-        sides.iter().map(|n| u64::from(*n)).product::<u64>()
-    });
-    // An adaptive tile has more cells than its plan says, and at most two to the depth of its tree.
-    let cells = if matches!(task.division(), Division::Adaptive { .. }) {
-        cells.saturating_mul(1 << 12)
-    } else {
-        cells
-    };
-    let sets = cells.saturating_mul(
-        u64::from(items)
-            .saturating_mul(10)
-            .saturating_add(LEAST_UNPACKED),
-    );
-    sets.saturating_add(pairs.saturating_mul(pairs))
-        .saturating_add(1 << 20)
-        .min(codec::MAX_UNPACKED)
-}
-
-/// Whether no viewpoint is in each cell of a tile with these nodes; empty when viewpoints are everywhere.
-fn unreached(task: &Visibility, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
-    if task.viewpoints().mask().is_none() {
-        return Vec::new();
-    }
-    let (mut open, mut out) = (vec![*of], Vec::new());
-    for node in nodes {
-        let Some(cell) = open.pop() else { break };
-        match node {
-            Node::Split(split) => {
-                let [below, above] = cell.children(*split);
-                open.extend([above, below]);
-            }
-            Node::Cell => out.push(task.marks(&cell) == 0),
+            check::check(task, (number, tile), scene_size(c, work)?, bytes, most)
+                .map_err(ResultError::Output)
         }
     }
-    out
 }
 
 /// Checks a tile's output and commits it, unless the tile is done; gives whether the tile has it now,
@@ -559,17 +431,5 @@ fn commit(
             follow_ups.extend(tell(c, event));
             Ok((Err(ResultError::Conflict), follow_ups))
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn packed_output_is_little_longer_than_its_content() {
-        assert_eq!(packed(0), LEAST_UNPACKED);
-        assert_eq!(packed(6400), 6500 + LEAST_UNPACKED);
-        assert_eq!(packed(u64::MAX), codec::MAX_UNPACKED);
     }
 }

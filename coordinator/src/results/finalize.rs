@@ -7,12 +7,12 @@ use std::sync::Arc;
 
 use sightline_traces::Begun;
 
-use crate::assemble::result::{AssembleError, AssemblyInput, assemble};
 use crate::dispatch::{FollowUp, tell};
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::jobs::suspend;
+use crate::results::assembly::{AssembleError, AssemblyInput, assemble};
 use crate::scheduler::{Event, Output};
 use crate::state::{Coordinator, MissingBlob};
 use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};

@@ -3,10 +3,10 @@
 use std::io::{self, Write};
 use std::sync::{Arc, PoisonError};
 
-use crate::assemble::result::{AssembleError, AssemblyInput, write};
 use crate::ids::{Digest, JobId};
 use crate::jobs::stored_spec;
 use crate::kept::CachedPartial;
+use crate::results::assembly::{AssembleError, AssemblyInput, write};
 use crate::scheduler::{Job, Output};
 use crate::state::Coordinator;
 use crate::store::{BlobError, JobState, StoreError};

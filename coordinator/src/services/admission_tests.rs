@@ -265,6 +265,7 @@ async fn join_as(
         name: name.to_owned(),
         profiles: vec!["cpu/test".to_owned()],
         algorithm: sightline_model::ALGORITHM_VERSION,
+        protocol: sightline_proto::PROTOCOL,
         identity: identity.to_vec(),
         ..Default::default()
     };

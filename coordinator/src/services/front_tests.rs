@@ -99,6 +99,7 @@ async fn calls_are_passed_on_and_answered_here_when_the_leader_resigns() {
         name: "w".to_owned(),
         profiles: vec!["cpu/test".to_owned()],
         algorithm: sightline_model::ALGORITHM_VERSION,
+        protocol: sightline_proto::PROTOCOL,
         ..Default::default()
     };
     let hello = v1::worker_message::Message::Hello(hello);

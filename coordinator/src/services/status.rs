@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sightline_assemble::OutputError;
 use sightline_proto::chunks::ChunkError;
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
@@ -189,21 +190,15 @@ pub(super) fn of_result(e: &ResultError) -> Status {
         ResultError::Digest | ResultError::Unstaged(_) => Status::data_loss(e.to_string()),
         ResultError::Spool(e) => of_spool(e),
         // The service checks a large output again.
-        ResultError::Large => internal(&e.to_string()),
+        ResultError::Output(OutputError::Large) => internal(&e.to_string()),
         ResultError::NoJob(_) | ResultError::NoLease(_) => {
             Status::failed_precondition(e.to_string())
         }
         ResultError::Length
         | ResultError::TooLong { .. }
         | ResultError::NoTile
-        | ResultError::Encoding(_)
-        | ResultError::Cells
-        | ResultError::Method
-        | ResultError::Pairs
-        | ResultError::Viewpoints
-        | ResultError::Contributions
-        | ResultError::Portals
-        | ResultError::Kind => Status::invalid_argument(e.to_string()),
+        | ResultError::Output(_)
+        | ResultError::Answers(_) => Status::invalid_argument(e.to_string()),
         ResultError::Conflict => Status::aborted(e.to_string()),
         ResultError::Blob(e) => of_blob(e),
         ResultError::Store(e) => of_store(e),

@@ -4,9 +4,10 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use futures::{Stream, StreamExt as _};
+use sightline_assemble::OutputError;
 use sightline_model::ALGORITHM_VERSION;
-use sightline_proto::v1;
 use sightline_proto::v1::worker_message::Message as FromWorker;
+use sightline_proto::{PROTOCOL, v1};
 use sightline_traces::TraceId;
 use tokio::sync::{mpsc, oneshot};
 use tonic::{Request, Response, Status, Streaming};
@@ -341,7 +342,7 @@ impl WorkersService {
                 let _held = held;
                 match put(c, weight) {
                     Ok(()) => Ok(true),
-                    Err(ResultError::Large) => Ok(false),
+                    Err(ResultError::Output(OutputError::Large)) => Ok(false),
                     Err(e) => Err(status::of_result(&e)),
                 }
             });
@@ -405,10 +406,18 @@ fn announced(c: &Coordinator, header: &v1::ResultHeader) -> Result<UploadHeader,
 }
 
 fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
+    if hello.protocol != PROTOCOL {
+        // The field is of version 2.
+        let theirs = hello.protocol.max(1);
+        return Err(Status::invalid_argument(format!(
+            "this worker ({}) speaks version {theirs} of the protocol, the coordinator version {PROTOCOL}; \
+             run the same version of sightline on both",
+            hello.version
+        )));
+    }
     if hello.algorithm != ALGORITHM_VERSION {
         return Err(Status::invalid_argument(format!(
-            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run \
-                the \
+            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the \
              same version of sightline on both",
             hello.version, hello.algorithm
         )));

@@ -27,7 +27,7 @@ pub(super) use super::place::{Numbers, Place};
 use super::watermark::{self, Watermark, WatermarkFile};
 
 const MAGIC: &[u8; 8] = b"SLJOURNL";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// The offset of the first frame.
 pub(super) const HEADER_BYTES: u64 = 24;
 const FRAME_HEADER: u64 = 20;

@@ -123,14 +123,14 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     };
     let refused =
         |openness: Openness| put(&c, &grants[0], &openness.encode().unwrap()).unwrap_err();
-    assert!(matches!(refused(tile(4096, 0.5)), ResultError::Encoding(_)));
-    assert!(matches!(refused(tile(4100, 1.5)), ResultError::Encoding(_)));
+    assert!(matches!(refused(tile(4096, 0.5)), ResultError::Answers(_)));
+    assert!(matches!(refused(tile(4100, 1.5)), ResultError::Answers(_)));
     assert!(matches!(
         refused(Openness {
             numbers: 2,
             ..tile(4100, 0.5)
         }),
-        ResultError::Encoding(_)
+        ResultError::Answers(_)
     ));
     assert!(matches!(
         partial::so_far(&c, id, &|| false),

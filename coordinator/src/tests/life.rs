@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use glam::Vec3;
+use sightline_assemble::{OutputError, expected_nodes};
 use sightline_model::codec;
 use sightline_model::numbers::TileCells;
 use sightline_model::{
@@ -15,7 +16,6 @@ use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, Object, Scene, Triangle};
 use tokio::sync::mpsc;
 
-use crate::assemble::result::expected_nodes;
 use crate::clock::ManualClock;
 use crate::dispatch::outbox::Outbox;
 use crate::dispatch::run::run_follow_ups;
@@ -201,7 +201,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     let empty = output(&grants[0], &[]);
     assert!(matches!(
         put(&c, &grants[0], &empty[1..]),
-        Err(ResultError::Encoding(_))
+        Err(ResultError::Output(OutputError::Encoding(_)))
     ));
     // The job has viewpoints in all cells, and asks for no contributions.
     let unreached = output_of(
@@ -213,7 +213,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     );
     assert!(matches!(
         put(&c, &grants[0], &unreached),
-        Err(ResultError::Viewpoints)
+        Err(ResultError::Output(OutputError::Viewpoints))
     ));
     let hits = Some(Hits {
         viewpoints: 1,
@@ -229,7 +229,7 @@ fn a_job_runs_in_memory_from_submission_to_result() {
     );
     assert!(matches!(
         put(&c, &grants[0], &hits),
-        Err(ResultError::Contributions)
+        Err(ResultError::Output(OutputError::Contributions))
     ));
     put(&c, &grants[0], &empty).unwrap();
     put(&c, &grants[0], &empty).unwrap();

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use sightline_assemble::OutputError;
 use sightline_model::CellSet;
 use sightline_test_s3::{KEY, S3Server, SECRET};
 use sightline_tests::ask;
@@ -163,7 +164,7 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
     let digest = *blake3::hash(&unreached).as_bytes();
     assert!(matches!(
         commit(c, &of, digest),
-        Err(ResultError::Viewpoints)
+        Err(ResultError::Output(OutputError::Viewpoints))
     ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Other bytes than were signed, which this store refuses and keeps all the same.

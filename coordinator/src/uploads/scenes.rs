@@ -2,12 +2,13 @@
 
 use std::sync::{Arc, PoisonError};
 
+use sightline_assemble::SceneSummary;
 use sightline_scene::{Aabb, Scene, SceneError};
 
 use crate::access::Caller;
 use crate::ids::Digest;
 use crate::quota::Usage;
-use crate::state::{Coordinator, SceneFacts};
+use crate::state::Coordinator;
 use crate::store::{BlobError, SceneRecord, StoreError};
 use crate::telemetry::metrics::Cache;
 use crate::uploads::complete::{ListBytes, UploadError, announced, forget_chunks, here, join};
@@ -204,7 +205,7 @@ pub(crate) fn bounds(c: &Coordinator, scene: &Digest) -> Result<Aabb, FactsError
 }
 
 /// The facts of a stored scene.
-pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>, FactsError> {
+pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneSummary>, FactsError> {
     let last = c
         .last_scene
         .lock()
@@ -224,22 +225,8 @@ pub(crate) fn facts(c: &Coordinator, digest: &Digest) -> Result<Arc<SceneFacts>,
 }
 
 /// Keeps the facts of a scene that is in memory.
-fn remember(c: &Coordinator, digest: Digest, scene: &Scene) -> Arc<SceneFacts> {
-    let (triangles, objects) = (scene.len(), scene.objects().to_vec());
-    let (bounds, kinds, sources) = (
-        scene.bounds(),
-        scene.kinds().clone(),
-        scene.sources().to_vec(),
-    );
-    let culled = !scene.sides().are_both();
-    let facts = Arc::new(SceneFacts {
-        triangles,
-        objects,
-        bounds,
-        kinds,
-        sources,
-        culled,
-    });
+fn remember(c: &Coordinator, digest: Digest, scene: &Scene) -> Arc<SceneSummary> {
+    let facts = Arc::new(SceneSummary::from(scene));
     *c.last_scene.lock().unwrap_or_else(PoisonError::into_inner) =
         Some((digest, Arc::clone(&facts)));
     facts

@@ -11,6 +11,16 @@ const MOST_EVENTS = 200;
 const MOST_PAGES = 60;
 const TROUBLE = ['FAILED', 'TAKEN_BACK', 'SET_ASIDE', 'CONFLICT'];
 
+// The method of a job's specification, and its grid of cells where it has one.
+function described(spec) {
+  if (spec.ambient) return { method: 'ambient occlusion' };
+  const { aggressive, exact, portals } = spec.visibility ?? {};
+  const { lines, guided, cubes } = (exact ?? aggressive)?.sampling ?? {};
+  const bounded = exact?.effort === 'EFFORT_BOUNDED';
+  const method = portals ? 'portals' : exact ? (bounded ? 'verified' : 'exact') : 'aggressive';
+  return { method, grid: (portals ?? lines ?? guided ?? cubes)?.grid };
+}
+
 export class JobPage {
   constructor() {
     this.map = new TileMap();
@@ -54,7 +64,7 @@ export class JobPage {
     const first = this.job === undefined;
     this.job = message.job;
     if (first) {
-      byId('map-up').value = this.job.spec?.up === 'UP_Z' ? 2 : 1;
+      byId('map-up').value = this.job.spec?.visibility?.up === 'UP_Z' ? 2 : 1;
       this.map.layers();
     }
     this.map.heard(message.tiles);
@@ -71,7 +81,7 @@ export class JobPage {
     const left = job.leftMillis === undefined ? '' : `, about ${duration(number(job.leftMillis))} left`;
     byId('job-state').textContent = `${state}${job.reason ? `: ${job.reason}` : ''}${left}`;
     byId('job-progress').value = share(job);
-    const spec = job.spec ?? {}, grid = spec.grid;
+    const { method, grid } = described(job.spec ?? {});
     const facts = {
       'Tiles': `${number(job.tilesDone)} of ${number(job.tilesTotal)} done, ${number(job.tilesRunning)} at work` +
         (number(job.tilesSetAside) ? `, ${job.tilesSetAside} SET ASIDE` : ''),
@@ -81,7 +91,7 @@ export class JobPage {
       'Work': `${duration(number(job.tileMillis))} on finished tiles`,
       'Submitted': `${new Date(number(job.submittedAtMs)).toLocaleString()}${job.user ? ` by ${job.user}` : ''}`,
       'Took': duration((end || now) - number(job.submittedAtMs)),
-      'Method': (spec.method ?? 'METHOD_AGGRESSIVE').slice(7).toLowerCase(),
+      'Method': method,
       'Backend': job.profile || 'not chosen yet',
     };
     if (number(job.resultBytes)) facts.Result = `${short(number(job.resultBytes))}B`;

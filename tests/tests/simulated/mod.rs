@@ -87,6 +87,7 @@ pub async fn work_with(
         name: name.to_owned(),
         profiles: vec!["cpu/load".to_owned()],
         algorithm: sightline_model::ALGORITHM_VERSION,
+        protocol: sightline_proto::PROTOCOL,
         instance,
         ..Default::default()
     };

@@ -112,6 +112,11 @@ impl Facts {
         1 + self.lights
     }
 
+    /// Returns the number of tiles.
+    pub fn tiles(&self) -> u32 {
+        self.starts.len().saturating_sub(1) as u32
+    }
+
     /// The number of receivers of a tile; `None` when there is no such tile.
     pub fn receivers_of(&self, tile: u32) -> Option<u32> {
         let at = tile as usize;

@@ -9,7 +9,7 @@ use sightline_pvs::{CellPairs, MOST_PAIR_CELLS, PvsError, Relation};
 use sightline_viewcells::CellBox;
 
 /// The relations of the tiles read so far, and the cells of the result.
-pub(crate) struct PairJoin {
+pub struct PairJoin {
     sides: [u32; 3],
     units: [u32; 3],
     seen: PairTable,
@@ -22,7 +22,7 @@ pub(crate) struct PairJoin {
 
 impl PairJoin {
     /// Begins; `None` when the job does not ask for pairs, or has more cells than can have them.
-    pub(crate) fn new(task: &Visibility, cells: u32) -> Option<Self> {
+    pub fn new(task: &Visibility, cells: u32) -> Option<Self> {
         let sides = task.pair_cells().filter(|_| cells <= MOST_PAIR_CELLS)?;
         let count = sides.iter().product();
         Some(Self {
@@ -36,7 +36,7 @@ impl PairJoin {
     }
 
     /// Adds the relations of a tile; false when they are over other cells.
-    pub(crate) fn add_tile(&mut self, pairs: &TilePairs) -> bool {
+    pub fn add_tile(&mut self, pairs: &TilePairs) -> bool {
         if pairs.seen.cells() != self.seen.cells() {
             return false;
         }
@@ -48,7 +48,7 @@ impl PairJoin {
     }
 
     /// Adds the next cell of the result.
-    pub(crate) fn add_cell(&mut self, at: &CellBox, reached: bool, aside: bool) {
+    pub fn add_cell(&mut self, at: &CellBox, reached: bool, aside: bool) {
         let range = |a: usize| {
             let [lo, hi, sides, units] =
                 [at.lo[a], at.hi[a], self.sides[a], self.units[a]].map(u64::from);
@@ -62,7 +62,7 @@ impl PairJoin {
     }
 
     /// The relations between the cells of the result.
-    pub(crate) fn finish(&self) -> Result<CellPairs, PvsError> {
+    pub fn finish(&self) -> Result<CellPairs, PvsError> {
         let count = self.cells.len() as u32;
         let (mut visible, mut undecided) = (Relation::empty(count)?, Relation::empty(count)?);
         for (a, cells) in self.cells.iter().enumerate() {

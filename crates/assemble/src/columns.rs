@@ -5,7 +5,7 @@ use sightline_model::statistics::{COLUMNS, column_names};
 use sightline_pvs::Column;
 
 /// Collects the cells in their order.
-pub(crate) struct Statistics {
+pub struct Statistics {
     values: [Vec<u64>; COLUMNS],
 }
 
@@ -19,14 +19,14 @@ impl Default for Statistics {
 
 impl Statistics {
     /// Adds a cell.
-    pub(crate) fn push(&mut self, cell: &CellSet) {
+    pub fn push(&mut self, cell: &CellSet) {
         for (column, value) in self.values.iter_mut().zip(cell.row()) {
             column.push(value);
         }
     }
 
     /// The columns, without those that are zero everywhere.
-    pub(crate) fn columns(self) -> Vec<Column> {
+    pub fn columns(self) -> Vec<Column> {
         let column = |(name, values): (&str, Vec<u64>)| Column {
             name: name.to_owned(),
             values,

@@ -1,0 +1,190 @@
+//! The assembly of a job's result from the store's blobs.
+
+use std::io::{BufWriter, Write};
+use std::sync::Arc;
+
+use sightline_assemble::openness::{self, AnswerError};
+use sightline_assemble::{Assembly, OutputState, Outputs};
+use sightline_model::{Granularity, PlannedJob, Task};
+use sightline_pvs::{Items, PvsError};
+use sightline_scene::{Scene, SceneError};
+
+use crate::ids::Digest;
+use crate::scheduler::Output;
+use crate::state::Coordinator;
+use crate::store::{BlobError, Blobs};
+use crate::uploads::receivers::{self, Fault};
+use crate::uploads::scenes::{FactsError, facts};
+
+/// A result that cannot be assembled.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum AssembleError {
+    /// A blob could not be read or written.
+    #[error(transparent)]
+    Blob(#[from] BlobError),
+    /// The scene cannot be read.
+    #[error(transparent)]
+    Facts(#[from] FactsError),
+    /// The scene's blob is not a scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The receivers of the job cannot be read.
+    #[error("the job's receivers: {0}")]
+    Receivers(Fault),
+    /// The outputs cannot be joined.
+    #[error(transparent)]
+    Outputs(sightline_assemble::AssembleError<BlobError>),
+    /// The answers of a job of ambient occlusion cannot be joined.
+    #[error(transparent)]
+    Answers(AnswerError<BlobError>),
+}
+
+impl From<Fault> for AssembleError {
+    fn from(e: Fault) -> Self {
+        match e {
+            Fault::Blob(e) if e.passes() => Self::Blob(e),
+            e => Self::Receivers(e),
+        }
+    }
+}
+
+impl AssembleError {
+    /// Returns true if the same may succeed later.
+    pub(crate) fn passes(&self) -> bool {
+        self.of_blob().is_some_and(BlobError::passes)
+    }
+
+    /// Returns true if something that the result is made from must be sent or computed again.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.of_blob().is_some_and(BlobError::is_lost)
+    }
+
+    fn of_blob(&self) -> Option<&BlobError> {
+        match self {
+            Self::Blob(e) | Self::Facts(FactsError::Blob(e)) | Self::Receivers(Fault::Blob(e)) => {
+                Some(e)
+            }
+            _ => None,
+        }
+    }
+}
+
+/// Tells a full disk, which is waited for, from other errors.
+fn of_outputs(blobs: &dyn Blobs, e: sightline_assemble::AssembleError<BlobError>) -> AssembleError {
+    match e {
+        sightline_assemble::AssembleError::Read(e) => e.into(),
+        sightline_assemble::AssembleError::Pvs(PvsError::Write(e)) => blobs.io_error(e).into(),
+        e => AssembleError::Outputs(e),
+    }
+}
+
+/// The same for the answers of a job of ambient occlusion.
+fn of_answers(blobs: &dyn Blobs, e: AnswerError<BlobError>) -> AssembleError {
+    match e {
+        AnswerError::Read(e) => e.into(),
+        AnswerError::Write(e) => blobs.io_error(e).into(),
+        e => AssembleError::Answers(e),
+    }
+}
+
+/// Bytes of a result that are hashed and written at a time.
+const WRITTEN_AT_ONCE: usize = 1 << 20;
+
+/// A job whose result is written.
+pub(crate) struct AssemblyInput {
+    pub(crate) work: Arc<PlannedJob>,
+    pub(crate) profile: String,
+    /// What there is of each tile.
+    pub(crate) outputs: Vec<Output>,
+    /// Samples of done tiles.
+    pub(crate) samples: u64,
+}
+
+/// The outputs of a job's tiles, in blobs.
+struct StoredOutputs<'a> {
+    blobs: &'a dyn Blobs,
+    outputs: &'a [Output],
+}
+
+impl Outputs for StoredOutputs<'_> {
+    type Error = BlobError;
+
+    fn state(&self, tile: u32) -> OutputState {
+        match self.outputs[tile as usize] {
+            Output::Open => OutputState::Open,
+            Output::Done(_) => OutputState::Done,
+            Output::SetAside(_) => OutputState::SetAside,
+        }
+    }
+
+    fn read(&self, tile: u32) -> Result<Vec<u8>, BlobError> {
+        match self.outputs[tile as usize].digest() {
+            Some(digest) => self.blobs.read(&digest),
+            // Nobody reads the output of an open tile.
+            None => Ok(Vec::new()),
+        }
+    }
+}
+
+/// Builds the result of a complete job and stores it; returns its digest and length.
+pub(crate) fn assemble(
+    c: &Coordinator,
+    parts: &AssemblyInput,
+) -> Result<(Digest, u64), AssembleError> {
+    let mut file = c.blobs.put_stream()?;
+    let mut buffered = BufWriter::with_capacity(WRITTEN_AT_ONCE, &mut file);
+    let bytes = write(c, parts, &mut buffered)?;
+    buffered.flush().map_err(|e| c.blobs.io_error(e))?;
+    drop(buffered);
+    Ok((file.finish(None)?, bytes))
+}
+
+/// Writes the result of a job and returns its length. Cells of tiles that are not done or were set aside show
+/// everything, as undecided.
+pub(crate) fn write(
+    c: &Coordinator,
+    parts: &AssemblyInput,
+    out: &mut impl Write,
+) -> Result<u64, AssembleError> {
+    let blobs = &*c.blobs;
+    let outputs = StoredOutputs {
+        blobs,
+        outputs: &parts.outputs,
+    };
+    let task = match &parts.work.spec().task {
+        Task::Ambient(ambient) => {
+            let stored = receivers::stored(c, ambient.receivers)?;
+            let written = openness::write(ambient, &stored.facts, &outputs, out);
+            return written.map_err(|e| of_answers(blobs, e));
+        }
+        Task::Visibility(task) => task,
+    };
+    let digest = &parts.work.spec().scene;
+    let scene = facts(c, digest)?;
+    let assembly = Assembly {
+        job: &parts.work,
+        profile: &parts.profile,
+        samples: parts.samples,
+        scene: &scene,
+        items: items(blobs, digest, task.items())?,
+        outputs: &outputs,
+        scratch: match task.has_certificates() {
+            true => blobs.scratch()?,
+            false => None,
+        },
+    };
+    sightline_assemble::write(assembly, task, out).map_err(|e| of_outputs(blobs, e))
+}
+
+/// Finds the items of a stored scene; `None` for triangles.
+fn items(
+    blobs: &dyn Blobs,
+    scene: &Digest,
+    items: Granularity,
+) -> Result<Option<Items>, AssembleError> {
+    if items == Granularity::Triangles {
+        return Ok(None);
+    }
+    let scene = Scene::from_blob("stored scene", &blobs.read(scene)?)?;
+    Ok(sightline_assemble::items(&scene, items))
+}

@@ -1,0 +1,295 @@
+//! The result of a job from its leaf tiles: one tree, one visible set per cell, one `.pvs` file.
+//!
+//! Tiles are read one at a time.
+
+use std::fs::File;
+use std::io::Write;
+
+use sightline_model::codec::{self, CodecError};
+use sightline_model::{CellSet, CellSets, Granularity, Node, PlannedJob, TileOutput, Visibility};
+use sightline_pvs::{
+    Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Object, PvsError, SET_ASIDE,
+    Source,
+};
+use sightline_scene::Scene;
+use sightline_scene::clusters::clusters;
+use sightline_viewcells::{CellBox, Lattice, Outline};
+
+use crate::check::SceneSize;
+use crate::columns::Statistics;
+use crate::info::info;
+use crate::pairs::PairJoin;
+use crate::placeholder::empty_cells;
+use crate::{OutputState, Outputs, SceneSummary};
+
+/// A result that cannot be assembled.
+#[derive(Debug, thiserror::Error)]
+pub enum AssembleError<E> {
+    /// An output cannot be read.
+    #[error(transparent)]
+    Read(E),
+    /// A tile's output does not fit the plan.
+    #[error("tile {tile}: {reason}")]
+    Tile {
+        /// The tile.
+        tile: u32,
+        /// How it differs.
+        reason: &'static str,
+    },
+    /// A tile's output cannot be decoded.
+    #[error("tile {tile}: {error}")]
+    Codec {
+        /// The tile.
+        tile: u32,
+        /// The error of the decoder.
+        error: CodecError,
+    },
+    /// The result cannot be written.
+    #[error(transparent)]
+    Pvs(#[from] PvsError),
+}
+
+/// A job whose result is written.
+pub struct Assembly<'a, O> {
+    /// The job.
+    pub job: &'a PlannedJob,
+    /// The numerics profile that its tiles were computed with.
+    pub profile: &'a str,
+    /// The number of samples of its done tiles.
+    pub samples: u64,
+    /// The facts about its scene.
+    pub scene: &'a SceneSummary,
+    /// The items that its sets name ([`items`]); `None` for triangles.
+    pub items: Option<Items>,
+    /// The outputs of its tiles.
+    pub outputs: &'a O,
+    /// Where certificates wait for their place in the file; in memory without one.
+    pub scratch: Option<File>,
+}
+
+/// Finds the items that the sets of a job name; `None` for triangles.
+pub fn items(scene: &Scene, items: Granularity) -> Option<Items> {
+    match items {
+        Granularity::Triangles => None,
+        Granularity::Clusters => Some(Items::Clusters(clusters(scene))),
+        Granularity::Objects => Some(Items::Objects {
+            never: (0..scene.len()).filter(|t| !scene.shows(*t)).collect(),
+        }),
+    }
+}
+
+/// Writes the `.pvs` file of a job of visibility and returns its length. Cells of tiles that are not done or were
+/// set aside show everything, as undecided.
+///
+/// # Errors
+/// [`AssembleError`].
+pub fn write<O: Outputs>(
+    mut input: Assembly<'_, O>,
+    task: &Visibility,
+    out: &mut impl Write,
+) -> Result<u64, AssembleError<O::Error>> {
+    let scratch = input.scratch.take();
+    let (plan, lattice, scene) = (input.job.plan(), task.lattice(), input.scene);
+    let size = SceneSize {
+        triangles: scene.triangles,
+        objects: scene.objects.len() as u32,
+    };
+    let most = size.items(task);
+    let read = |tile: u32| read(&input, task, tile, most);
+    // The tree comes before the sets, so every tile is read twice, one at a time. Certificates are most of a
+    // tile: keeping all tiles in memory would cost more than the second reading.
+    let mut nodes = Vec::new();
+    // The cells of a plan's only tile, which is read once.
+    let mut kept = None;
+    for part in &plan.outline {
+        match *part {
+            Outline::Split(split) => nodes.push(pvs_node(Node::Split(split), lattice)),
+            Outline::Leaf(tile) => {
+                let sets = read(tile)?;
+                nodes.extend(sets.nodes.iter().map(|node| pvs_node(*node, lattice)));
+                if plan.outline.len() == 1 {
+                    kept = Some(sets);
+                }
+            }
+        }
+    }
+    // The visible set of every cell of a tile that was set aside; placeholders do not repeat it for every cell.
+    let all: Vec<u32> = match &input.items {
+        None => (0..scene.triangles)
+            .filter(|t| scene.kinds.kind(*t).shows())
+            .collect(),
+        Some(Items::Clusters(all)) => (0..all.len() as u32).collect(),
+        Some(Items::Objects { .. }) => (0..scene.objects.len() as u32).collect(),
+    };
+    let tree = CellTree::new(task.view_box().corners().map(|c| c.to_array()), nodes)?;
+    let cells = tree.cells();
+    let mut builder = Builder::new(Header {
+        triangles: scene.triangles,
+        method: task.method.name().to_string(),
+        tree,
+        objects: objects(scene),
+        info_json: info(&input, task),
+    })?;
+    if let Some(items) = &input.items {
+        builder.set_items(items)?;
+    }
+    if let Some(region) = task.viewpoints().region() {
+        builder.set_region(region.encode());
+    }
+    if let Some(file) = scratch {
+        builder.keep_certificates_in(file);
+    }
+    let mut pairs = PairJoin::new(task, cells);
+    let mut statistics = Statistics::default();
+    for tile in plan.leaves() {
+        let aside = input.outputs.state(tile) != OutputState::Done;
+        let wrong = |reason| AssembleError::Tile { tile, reason };
+        let mut sets = match kept.take() {
+            Some(sets) => sets,
+            None => read(tile)?,
+        };
+        if !sets.portals.is_empty() {
+            builder.set_portals(std::mem::take(&mut sets.portals))?;
+        }
+        let shown = sets
+            .cells
+            .iter()
+            .map(|cell| shown(cell, aside.then_some(&*all)));
+        builder.push_cells(&shown.collect::<Vec<_>>())?;
+        for cell in &sets.cells {
+            if task.has_certificates() {
+                let evidence = cell.decision.as_ref().map_or(&[][..], |d| &d.certificate);
+                builder.push_certificate(evidence)?;
+            }
+            if task.has_contributions() {
+                let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
+                builder.push_contributions(&of.ok_or_else(|| wrong("it lacks contributions"))?)?;
+            }
+            statistics.push(cell);
+        }
+        if let Some(join) = &mut pairs {
+            if let Some(pairs) = &sets.pairs
+                && !join.add_tile(pairs)
+            {
+                return Err(wrong("its pairs are those of another number of cells"));
+            }
+            let boxes = boxes(&plan.tiles[tile as usize].cell, &sets.nodes);
+            boxes
+                .iter()
+                .zip(&sets.cells)
+                .for_each(|(at, cell)| join.add_cell(at, !cell.unreached, aside));
+        }
+    }
+    if let Some(pairs) = &pairs {
+        builder.set_pairs(&pairs.finish()?)?;
+    }
+    builder.set_columns(statistics.columns())?;
+    Ok(builder.finish(out)?.file_bytes)
+}
+
+/// Reads the cells of a leaf tile, whose sets name at most `items` items. Those of a tile that is not done are
+/// empty, like those of one that was set aside.
+fn read<O: Outputs>(
+    input: &Assembly<'_, O>,
+    task: &Visibility,
+    tile: u32,
+    items: u32,
+) -> Result<CellSets, AssembleError<O::Error>> {
+    let planned = &input.job.plan().tiles[tile as usize];
+    if input.outputs.state(tile) == OutputState::Open {
+        return Ok(empty_cells(task, planned));
+    }
+    let wrong = |reason| AssembleError::Tile { tile, reason };
+    let bytes = input.outputs.read(tile).map_err(AssembleError::Read)?;
+    let output =
+        codec::decode(&bytes, items).map_err(|error| AssembleError::Codec { tile, error })?;
+    let TileOutput::Cells(sets) = output else {
+        return Err(wrong("it holds samples and not cells"));
+    };
+    // An adaptive tile counts as one cell in the plan, however many it has.
+    if planned.cells > 1 && sets.cells.len() as u64 != planned.cells {
+        return Err(wrong("it has another number of cells than its grid"));
+    }
+    Ok(sets)
+}
+
+/// Returns the cell as the file has it; with `all`, the cell of a tile that is not done.
+fn shown<'a>(cell: &'a CellSet, all: Option<&'a [u32]>) -> Cell<'a> {
+    match all {
+        // Triangles of a failed tile were neither seen nor proved hidden.
+        Some(all) => Cell {
+            visible: all,
+            undecided: all,
+            flags: SET_ASIDE,
+        },
+        None => Cell {
+            visible: &cell.visible,
+            undecided: cell.decision.as_ref().map_or(&[][..], |d| &d.undecided),
+            flags: if cell.unreached { NOT_REACHED } else { 0 },
+        },
+    }
+}
+
+/// Returns the objects as the file has them.
+fn objects(scene: &SceneSummary) -> Vec<Object> {
+    let source = |at: usize| {
+        scene.sources.get(at).map(|source| Source {
+            node: source.node,
+            mesh: source.mesh,
+            primitive: source.primitive,
+            instance: source.instance,
+        })
+    };
+    let objects = scene.objects.iter().enumerate();
+    objects
+        .map(|(at, object)| Object {
+            name: object.name.clone(),
+            first: object.first,
+            count: object.count,
+            source: source(at),
+        })
+        .collect()
+}
+
+/// Returns how much of the view each of `items` visible items takes; `None` when the tile counted another
+/// number.
+fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
+    let Some(hits) = &cell.hits else {
+        // Nothing was measured in a tile that was set aside.
+        return Some(vec![Contribution::new(0.0, 0.0); items]);
+    };
+    let all = f64::from(hits.viewpoints) * f64::from(hits.lines);
+    let of = |[hit, most]: &[u32; 2]| {
+        Contribution::new(
+            f64::from(*hit) / all,
+            f64::from(*most) / f64::from(hits.lines),
+        )
+    };
+    (hits.counts.len() == items).then(|| hits.counts.iter().map(of).collect())
+}
+
+/// Returns the boxes of a subtree's cells, in preorder.
+fn boxes(root: &CellBox, nodes: &[Node]) -> Vec<CellBox> {
+    let (mut boxes, mut open) = (Vec::new(), vec![*root]);
+    for node in nodes {
+        let Some(at) = open.pop() else { break };
+        match node {
+            Node::Split(split) => {
+                let [below, above] = at.children(*split);
+                open.extend([above, below]);
+            }
+            Node::Cell => boxes.push(at),
+        }
+    }
+    boxes
+}
+
+fn pvs_node(node: Node, lattice: &Lattice) -> sightline_pvs::Node {
+    match node {
+        Node::Split(split) => sightline_pvs::Node::Split {
+            axis: split.axis as u8,
+            at: lattice.coordinate(split.axis, split.at),
+        },
+        Node::Cell => sightline_pvs::Node::Leaf,
+    }
+}
