@@ -19,6 +19,7 @@ use crate::result_args::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportA
 use crate::serve_args::{CoordinatorArgs, LogFormat, WorkerArgs};
 use crate::store_args::StoreArgs;
 use crate::tetra_args::{LookArgs, TetraArgs};
+use crate::tiles_args::{AssembleArgs, PlanArgs, TileArgs};
 use crate::token_args::TokenArgs;
 use crate::traces::TraceArgs;
 use crate::what::What;
@@ -76,6 +77,9 @@ impl Cli {
 pub enum Command {
     /// Bake a scene on this machine.
     Bake(BakeArgs),
+    Plan(PlanArgs),
+    Tile(TileArgs),
+    Assemble(AssembleArgs),
     /// Run the coordinator of a cluster, which keeps jobs and gives their tiles to workers.
     Coordinator(CoordinatorArgs),
     /// Make, list and revoke the tokens of a coordinator.

@@ -277,6 +277,11 @@ struct Numbers {
 }
 
 impl JobArgs {
+    /// Returns true if the job has a time budget.
+    pub fn has_time_budget(&self) -> bool {
+        self.time_budget.is_some()
+    }
+
     /// Checks the numbers.
     fn numbers(&self) -> Result<Numbers, OutOfRange> {
         let max_error = self.max_error.map(MaxError::new).transpose()?;

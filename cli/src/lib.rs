@@ -78,6 +78,8 @@ mod submitting;
 mod tetra;
 mod tetra_args;
 mod tetra_export;
+mod tiles;
+mod tiles_args;
 mod timeline;
 mod token_args;
 mod tokens;
@@ -168,6 +170,9 @@ fn run(cli: Cli) -> Result<(), CliError> {
     let json = cli.json;
     match cli.command {
         Command::Bake(a) => bake::run(a, json),
+        Command::Plan(a) => tiles::plan(&a, json),
+        Command::Tile(a) => tiles::tile(&a, json),
+        Command::Assemble(a) => tiles::assemble(&a, json),
         Command::Coordinator(a) => coordinating::coordinator(&a),
         Command::Token(a) => tokens::token(&a, json),
         Command::Worker(a) => serve::worker(&a),

@@ -53,6 +53,7 @@ mod tests;
 pub use kept::{Retention, SceneQueries};
 pub use lifecycle::{Config, OpenError};
 pub use quota::{Quota, QuotaError, Quotas, bytes};
+pub use scheduler::choose_profile;
 pub use services::{
     ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError,
     ServeError, Tls, TlsError, TlsFiles, serve, serve_http, serve_probes,

@@ -54,6 +54,7 @@ pub use backends::{Backends, TracerSelection};
 pub use config::{Config, Stop, WorkerError};
 pub use counters::{Moved, Pulse};
 pub use receivers::ReceiverCache;
+pub use tile_runner::time_profiles;
 pub use traced_scenes::{SceneCache, TracedScene};
 
 /// Runs a worker until `stop` tells it to stop.

@@ -13,6 +13,7 @@ use sightline_sampling::{CubeSpec, TileError, auto, gpu};
 use sightline_traces::Begun;
 use sightline_viewcells::Division;
 
+use crate::backends::Backends;
 use crate::config::Config;
 use crate::crew;
 use crate::direct::Direct;
@@ -301,55 +302,64 @@ impl TileRunner {
     pub async fn time(&self, spec: &v1::JobSpec) -> Result<Vec<v1::ProfileTime>, String> {
         let spec =
             JobSpec::from_message(spec, &SceneFacts::default()).map_err(|e| e.to_string())?;
-        let needless = || "the job needs no tracer".to_owned();
-        let task = spec.visibility().ok_or_else(needless)?;
-        let sampler = task.sampling().ok_or_else(needless)?.sampler.clone();
-        // The boxes of a tree have few points of the lattice.
-        let lattice = match task.division() {
-            Division::Tree(_) => {
-                let whole = GridCells::new(task.view_box(), [1; 3]).map_err(|e| e.to_string())?;
-                whole.cells().lattice().clone()
-            }
-            Division::Grid(_) | Division::Adaptive { .. } => task.lattice().clone(),
-        };
-        let has_region = task.viewpoints().region().is_some();
         let loaded = self.scene(spec.scene).await?;
         let config = self.config.clone();
-        tokio::task::spawn_blocking(move || {
-            let mut times = Vec::new();
-            for profile in config.backends.profiles() {
-                let timed = loaded
-                    .backend(
-                        &config.backends,
-                        &profile,
-                        CubeSpec::of(&sampler),
-                        &config.name,
-                    )
-                    .map_err(TileError::from)
-                    .and_then(|b| match sampler {
-                        Sampler::Cubes { .. } => Ok(auto::time(&*b, &lattice)?),
-                        // A region of viewpoints keeps a device from casting whole rounds.
-                        Sampler::Lines { .. } if !has_region => {
-                            auto::time_rounds(&*b, loaded.scene.sampling(), &lattice)
-                        }
-                        Sampler::Lines { .. } | Sampler::Guided { .. } => {
-                            let ids = loaded.scene.sampling().traced().distinct;
-                            Ok(auto::time_lines(&*b, ids, &lattice)?)
-                        }
-                    });
-                match timed {
-                    Ok(t) => times.push(v1::ProfileTime {
-                        profile,
-                        seconds_per_cube: t.per_cube.as_secs_f64(),
-                    }),
-                    Err(e) => tracing::warn!("{profile} cannot be used for this scene: {e}"),
-                }
-            }
-            times
-        })
-        .await
-        .map_err(|e| e.to_string())
+        let times = tokio::task::spawn_blocking(move || {
+            time_profiles(&config.backends, &loaded, &spec, &config.name)
+        });
+        let times = times.await.map_err(|e| e.to_string())?;
+        let message = |(profile, seconds_per_cube)| v1::ProfileTime {
+            profile,
+            seconds_per_cube,
+        };
+        Ok(times.into_iter().map(message).collect())
     }
+}
+
+/// Times the backends of this machine on a job's scene: the seconds that each takes for a cube, or for as many
+/// lines. Those that cannot be used for the scene are left out, as are all for a job without a tracer. Each
+/// `owner` has a software gpu for itself.
+pub fn time_profiles(
+    backends: &Backends,
+    loaded: &TracedScene,
+    spec: &JobSpec,
+    owner: &str,
+) -> Vec<(String, f64)> {
+    let task = spec.visibility();
+    let Some((task, sampling)) = task.and_then(|task| Some((task, task.sampling()?))) else {
+        return Vec::new();
+    };
+    // The boxes of a tree have few points of the lattice.
+    let whole = match task.division() {
+        Division::Tree(_) => GridCells::new(task.view_box(), [1; 3]).ok(),
+        Division::Grid(_) | Division::Adaptive { .. } => None,
+    };
+    let lattice = whole
+        .as_ref()
+        .map_or(task.lattice(), |whole| whole.cells().lattice());
+    let has_region = task.viewpoints().region().is_some();
+    let mut times = Vec::new();
+    for profile in backends.profiles() {
+        let timed = loaded
+            .backend(backends, &profile, CubeSpec::of(&sampling.sampler), owner)
+            .map_err(TileError::from)
+            .and_then(|b| match sampling.sampler {
+                Sampler::Cubes { .. } => Ok(auto::time(&*b, lattice)?),
+                // A region of viewpoints keeps a device from casting whole rounds.
+                Sampler::Lines { .. } if !has_region => {
+                    auto::time_rounds(&*b, loaded.scene.sampling(), lattice)
+                }
+                Sampler::Lines { .. } | Sampler::Guided { .. } => {
+                    let ids = loaded.scene.sampling().traced().distinct;
+                    Ok(auto::time_lines(&*b, ids, lattice)?)
+                }
+            });
+        match timed {
+            Ok(t) => times.push((profile, t.per_cube.as_secs_f64())),
+            Err(e) => tracing::warn!("{profile} cannot be used for this scene: {e}"),
+        }
+    }
+    times
 }
 
 /// A pack, or the digest of a lost pack that has to be computed again.

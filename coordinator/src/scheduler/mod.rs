@@ -60,6 +60,7 @@ pub(crate) use self::messages::Grant;
 pub(crate) use self::messages::{
     Introduction, Joined, NameTaken, Now, ProfileTime, Progress, WorkerCommand,
 };
+pub use self::profile_choice::choose_profile;
 pub(crate) use self::state::{Admitted, NoTile, Scheduler, Settings};
 pub(crate) use self::tile_status::TileStatus;
 pub(crate) use self::tile_workers::Team;

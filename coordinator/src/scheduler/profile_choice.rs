@@ -65,6 +65,34 @@ pub(super) fn profile_for(choice: Option<TracerChoice>, profiles: &[String]) -> 
     named.map_or(Binding::Cannot, Binding::Bind)
 }
 
+/// Chooses the numerics profile of a job on a machine with `profiles`, as the scheduler does when that machine is
+/// the first to take the job. `time` measures the profiles, each in seconds for a cube; it is called when several
+/// are worth it. `None` when no profile suits the job.
+pub fn choose_profile(
+    choice: Option<TracerChoice>,
+    profiles: &[String],
+    time: impl FnOnce() -> Vec<(String, f64)>,
+) -> Option<String> {
+    let own = match choice {
+        // Every machine has it.
+        None => &[NO_PROFILE.to_owned()][..],
+        Some(_) => profiles,
+    };
+    match profile_for(choice, own) {
+        Binding::Bind(profile) => Some(profile),
+        Binding::Time => {
+            let times = time()
+                .into_iter()
+                .map(|(profile, seconds_per_cube)| ProfileTime {
+                    profile,
+                    seconds_per_cube,
+                });
+            fastest(&times.collect::<Vec<_>>()).map(|time| time.profile.clone())
+        }
+        Binding::Cannot => None,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -121,5 +149,29 @@ mod tests {
             matches!(profile_for(None, &profiles), Binding::Bind(p) if p == NO_PROFILE)
         };
         assert!(without(&["cpu/a", NO_PROFILE]) && !without(&["cpu/a"]));
+    }
+
+    #[test]
+    fn profiles_are_chosen_as_for_the_first_worker() {
+        let all = ["cpu/a".to_owned(), "gpu/real".to_owned()];
+        let times = |gpu| move || vec![("cpu/a".to_owned(), 1.0), ("gpu/real".to_owned(), gpu)];
+        let chosen = |choice, gpu| choose_profile(choice, &all, times(gpu));
+        assert_eq!(
+            chosen(Some(TracerChoice::Auto), 0.4).as_deref(),
+            Some("gpu/real")
+        );
+        assert_eq!(
+            chosen(Some(TracerChoice::Auto), 0.6).as_deref(),
+            Some("cpu/a")
+        );
+        assert_eq!(
+            chosen(Some(TracerChoice::Gpu), 9.0).as_deref(),
+            Some("gpu/real")
+        );
+        assert_eq!(chosen(None, 9.0).as_deref(), Some(NO_PROFILE));
+        assert_eq!(
+            choose_profile(Some(TracerChoice::Gpu), &all[..1], times(1.0)),
+            None
+        );
     }
 }

@@ -49,7 +49,7 @@ mod power_failures;
 pub use api::Store;
 pub use blobs::{
     Address, BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, Carried, Direct,
-    FileBlobs, MemoryBlobs, ObjectBlobs, PlaceError, Staged, Stored, Ways,
+    FileBlobs, MemoryBlobs, ObjectBlobs, ObjectFolder, PlaceError, Staged, Stored, Ways,
 };
 pub use entries::Entry;
 pub use error::{JournalError, StoreError};

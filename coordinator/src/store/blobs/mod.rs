@@ -15,4 +15,4 @@ pub use direct::{Address, Direct, Staged};
 pub use error::BlobError;
 pub use files::FileBlobs;
 pub use memory::MemoryBlobs;
-pub use object::{BlobPlace, BucketPlace, ObjectBlobs, PlaceError, Ways};
+pub use object::{BlobPlace, BucketPlace, ObjectBlobs, ObjectFolder, PlaceError, Ways};

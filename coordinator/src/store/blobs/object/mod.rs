@@ -11,6 +11,7 @@ mod bucket;
 mod cache;
 mod direct;
 mod faults;
+mod folder;
 mod http;
 mod keys;
 mod place;
@@ -26,6 +27,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
 
+pub use folder::ObjectFolder;
 pub use place::{BlobPlace, BucketPlace, PlaceError, Ways};
 
 use self::bucket::Bucket;
