@@ -14,6 +14,8 @@ program=$(realpath "${1:-target/release/sightline}")
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-$work}
+# Commands without --data-dir use no store of an earlier build.
+export XDG_CACHE_HOME=$work/cache
 
 # run NAME ARGUMENTS…: runs the program; prints its output only if it fails.
 run() {

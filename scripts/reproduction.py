@@ -82,6 +82,11 @@ class Measured:
         return sorted(p.name.removesuffix(".cubes.json") for p in self.folder.glob("given-*.cubes.json"))
 
 
+def cubes_of(bake):
+    """Returns the parameters of the visibility cubes of a bake."""
+    return bake["info"]["spec"]["visibility"]["aggressive"]["sampling"]["cubes"]
+
+
 def performance(measured, names):
     rows = []
     for name, experiment in names:
@@ -94,7 +99,7 @@ def performance(measured, names):
             cpu = bake.get("cpu_seconds")
             rows.append([
                 label, sampler, OURS.get(experiment, ""), bake["triangles"], bake["cells"],
-                f"{bake['info']['sampling']['error_threshold']:g}" if sampler == "cubes" else "-",
+                f"{cubes_of(bake)['error_threshold']:g}" if sampler == "cubes" else "-",
                 seconds(bake["seconds"] / bake["cells"]),
                 seconds(cpu / bake["cells"] if cpu is not None else None),
                 percent(bake["mean_visible_fraction"]),

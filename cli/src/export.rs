@@ -97,8 +97,9 @@ fn cell(pvs: &Pvs, number: u32) -> Result<Option<Value>, CliError> {
 fn sidecar(pvs: &Pvs) -> Result<Value, CliError> {
     let cells = (0..pvs.cells()).filter_map(|number| cell(pvs, number).transpose());
     let info: Value = serde_json::from_str(pvs.info_json()).unwrap_or_default();
+    let up = &info["spec"]["visibility"]["up"];
     Ok(json!({
-        "format": "sightline.sidecar", "version": 1, "method": pvs.method(), "up": info["spec"]["visibility"]["up"],
+        "format": "sightline.sidecar", "version": 1, "method": pvs.method(), "up": up,
         "view_box": pvs.tree().view_box(), "objects": objects(pvs),
         "cells": cells.collect::<Result<Vec<_>, _>>()?,
     }))

@@ -10,14 +10,14 @@ use sightline_model::numbers::{
     Resolution, TargetError, TileCells, TimeBudget, TriangleBudget,
 };
 use sightline_model::{
-    Adaptive, CellToCell, CubeCells, CubeGrid, CubeParams, Effort, ErrorMeasure, Granularity,
-    GridCells, JobSpec, KnownCells, LineAim, MOST_LINE_DEPTH, Method, MethodName, OutOfRange,
-    Sampler, SamplerName, Sampling, SceneFacts, SpecError, Stop, SupersetChoice, Task,
+    Adaptive, BoxCells, CellToCell, CubeCells, CubeGrid, CubeParams, Effort, ErrorMeasure,
+    Granularity, GridCells, JobSpec, KnownCells, LineAim, MOST_LINE_DEPTH, Method, MethodName,
+    OutOfRange, Sampler, SamplerName, Sampling, SceneFacts, SpecError, Stop, SupersetChoice, Task,
     TracerChoice, USUAL_GRID, Viewpoints, Visibility,
 };
 use sightline_sampling::embree;
 use sightline_scene::{Aabb, Scene, Triangle};
-use sightline_viewcells::{DivisionError, Lattice, MOST_BOXES, axis_name};
+use sightline_viewcells::{DivisionError, KdTree, Lattice, MOST_BOXES, axis_name};
 
 use crate::backends::BackendOption;
 use crate::choices::choice;
@@ -164,8 +164,8 @@ struct CubeArgs {
     superset: Option<SupersetChoice>,
 }
 
-/// The options that a job of another kind makes no use of, with what each needs. A job that is given one of them
-/// is rejected; of all other options without use a note is enough.
+/// The options that only some jobs have, each with its condition. The command rejects a job with an option
+/// that it does not have; about all other unused options it prints a note.
 const NEEDS: &[(&str, &str)] = &[
     (
         "--certificates",
@@ -206,15 +206,15 @@ const NEEDS: &[(&str, &str)] = &[
 ];
 
 /// The options that were given and that no part of the job has taken yet.
-struct Given(Vec<&'static str>);
+struct UnusedOptions(Vec<&'static str>);
 
-impl Given {
+impl UnusedOptions {
     /// Takes options: the job makes use of them if they were given.
     fn take(&mut self, options: &[&str]) {
         self.0.retain(|option| !options.contains(option));
     }
 
-    /// Rejects the options that are left over, and returns those of which a note is enough.
+    /// Rejects options without use that have a condition, and returns the other ones.
     fn finish(self) -> Result<Vec<&'static str>, CliError> {
         let needs = |option: &&str| NEEDS.iter().find(|(of, _)| of == option);
         let wrong = self.0.iter().filter_map(needs);
@@ -301,7 +301,7 @@ impl JobArgs {
         })
     }
 
-    /// Returns the sampler that is asked for: by default lines, and cubes for trees that lines do not sample.
+    /// Returns the sampler: by default lines, and cubes for trees that lines do not sample.
     fn sampler(&self) -> SamplerName {
         let is_deep = self.triangle_budget.is_some() && self.max_depth > MOST_LINE_DEPTH;
         self.sampler.unwrap_or(match is_deep {
@@ -310,8 +310,8 @@ impl JobArgs {
         })
     }
 
-    /// Returns the options that were given, other than those that every job has.
-    fn given(&self) -> Given {
+    /// Returns the given options that not every job has.
+    fn given(&self) -> UnusedOptions {
         let of = [
             ("--certificates", self.certificates),
             ("--granularity", self.granularity != Granularity::Triangles),
@@ -331,19 +331,23 @@ impl JobArgs {
             ("--block-cells", self.block_cells.is_some()),
         ];
         let all = of.into_iter().chain(self.cubes.all());
-        Given(
+        UnusedOptions(
             all.filter_map(|(option, is_given)| is_given.then_some(option))
                 .collect(),
         )
     }
 
-    /// Rejects options that the job makes no use of and that change what a user expects; returns the others.
+    /// Rejects options that the job does not have, and returns unused options about which a note is enough.
     fn unused(&self) -> Result<Vec<&'static str>, CliError> {
         let mut given = self.given();
         let is_adaptive = self.triangle_budget.is_some();
+        let has_walls = matches!(self.cells, Some(Cells::Walls(_)));
         match self.method {
             MethodName::Portals => {
-                given.take(&["--cells walls:N", "--time-budget", "--block-cells"]);
+                given.take(&["--cells walls:N", "--time-budget"]);
+                if !has_walls {
+                    given.take(&["--block-cells"]);
+                }
                 if self.backend == BackendOption(None) {
                     given.take(&["--backend"]);
                 }
@@ -377,7 +381,7 @@ impl JobArgs {
                 given.take(&self.cubes.all().map(|(option, _)| option));
             }
         }
-        if self.sampler() != SamplerName::Cubes && !is_adaptive {
+        if self.sampler() != SamplerName::Cubes && !is_adaptive && !has_walls {
             given.take(&["--block-cells"]);
         }
         given.finish()
@@ -392,13 +396,17 @@ impl JobArgs {
         let numbers = self.numbers().map_err(|e| usage(&e))?;
         let unused = self.unused()?;
         if !unused.is_empty() {
-            let tree = match self.triangle_budget {
-                Some(_) => " in an adaptive tree",
-                None => "",
+            let user = match self.method {
+                MethodName::Portals => "method portals".to_owned(),
+                _ => format!("sampler {}", self.sampler()),
+            };
+            let cells = match (self.triangle_budget, self.cells) {
+                (Some(_), _) => " in an adaptive tree",
+                (None, Some(Cells::Walls(_))) => " in boxes along walls",
+                (None, Some(Cells::Grid(_)) | None) => "",
             };
             say(&format!(
-                "note: the sampler {}{tree} makes no use of {}",
-                self.sampler(),
+                "note: the {user}{cells} makes no use of {}",
                 unused.join(", ")
             ));
         }
@@ -411,15 +419,54 @@ impl JobArgs {
             let narrow = |e| CliError::Input(format!("{}: {e}", path.display()));
             embree::check_width(scene).map_err(narrow)?;
         }
-        let cells = CellArgs {
-            args: self,
-            path,
-            scene,
-            view_box: self.places.bounds(scene)?,
+        let view_box = self.places.bounds(scene)?;
+        let job = |is_trial: bool| -> Result<JobSpec, CliError> {
+            let cells = CellArgs {
+                args: self,
+                path,
+                scene,
+                view_box,
+                is_trial,
+            };
+            let task = self.task(&numbers, &cells, tracer)?;
+            let spec = JobSpec {
+                scene: scene.digest().0,
+                task: Task::Visibility(task),
+            };
+            spec.check().map_err(|e| usage(&e))?;
+            Ok(spec)
         };
+        // Cells and viewpoints can cost minutes, so a job that is rejected is rejected before.
+        job(true)?.fits(&facts(scene)).map_err(|e| usage(&e))?;
+        let spec = job(false)?;
+        spec.fits(&facts(scene)).map_err(|e| usage(&e))?;
+        let displacement = spec
+            .visibility()
+            .map_or(Ok(0.0), Visibility::rounding_displacement);
+        let displacement = displacement.map_err(|e| usage(&e))?;
+        if displacement > MUCH_MOVED {
+            say(&format!(
+                "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
+                 thinnest view cell. A line counts only if it crosses at least as much of a cell, so more is \
+                 missed than --target-error says. Wider cells or smaller coordinates avoid this",
+                100.0 * displacement
+            ));
+        }
+        // Views from above need such a box; more often it is a mistake about units or axes.
+        self.places.warn_of_empty(scene);
+        Ok(spec)
+    }
+
+    /// Makes the task with its cells.
+    fn task(
+        &self,
+        numbers: &Numbers,
+        cells: &CellArgs<'_>,
+        tracer: Option<TracerChoice>,
+    ) -> Result<Visibility, CliError> {
         let sampling = || -> Result<Sampling, CliError> {
             Ok(Sampling {
-                sampler: self.made_sampler(&numbers, &cells)?,
+                sampler: self.made_sampler(numbers, cells)?,
                 tracer: tracer.unwrap_or_default(),
                 contributions: self.contributions,
             })
@@ -443,31 +490,13 @@ impl JobArgs {
                 time: numbers.time,
             },
         };
-        let task = Visibility {
+        Ok(Visibility {
             method,
             far: numbers.far,
             pairs: self.cell_to_cell,
             seed: self.seed,
             up: self.places.up(),
-        };
-        let displacement = task.rounding_displacement().map_err(|e| usage(&e))?;
-        let spec = JobSpec {
-            scene: scene.digest().0,
-            task: Task::Visibility(task),
-        };
-        spec.check().map_err(|e| usage(&e))?;
-        spec.fits(&facts(scene)).map_err(|e| usage(&e))?;
-        if displacement > MUCH_MOVED {
-            say(&format!(
-                "note: coordinates are so large that rounding can move a sight line by {:.0} % of the \
-                 thinnest view cell. A line counts only if it crosses at least as much of a cell, so more is \
-                 missed than --target-error says. Wider cells or smaller coordinates avoid this",
-                100.0 * displacement
-            ));
-        }
-        // Views from above need such a box; more often it is a mistake about units or axes.
-        self.places.warn_of_empty(scene);
-        Ok(spec)
+        })
     }
 
     /// Makes the sampler with its cells.
@@ -515,7 +544,7 @@ impl JobArgs {
     }
 }
 
-/// The facts of a scene that a job depends on.
+/// Returns the facts of a scene that a job depends on.
 fn facts(scene: &Scene) -> SceneFacts {
     SceneFacts {
         triangles: scene.len(),
@@ -531,16 +560,21 @@ struct CellArgs<'a> {
     path: &'a Path,
     scene: &'a Arc<Scene>,
     view_box: Aabb,
+    /// Whether the cells only show which job this is: boxes are one box, and viewpoints are everywhere.
+    is_trial: bool,
 }
 
 impl CellArgs<'_> {
     /// Makes the cells that are known before the bake.
     fn known(&self, tile_cells: TileCells) -> Result<KnownCells, CliError> {
         if let Some(Cells::Walls(most)) = self.args.cells {
-            let boxes = self
-                .args
-                .places
-                .along_walls(self.scene, self.view_box, most)?;
+            let boxes = match self.is_trial {
+                true => self.one_box()?,
+                false => self
+                    .args
+                    .places
+                    .along_walls(self.scene, self.view_box, most)?,
+            };
             return Ok(KnownCells::Boxes(boxes));
         }
         let usage = |e: SpecError| CliError::Usage(e.to_string());
@@ -554,7 +588,13 @@ impl CellArgs<'_> {
             .map_err(usage)
     }
 
-    /// Makes the grid of visibility cubes, which are at the lattice's points and know no region.
+    /// Makes the view box a box.
+    fn one_box(&self) -> Result<BoxCells, CliError> {
+        let tree = KdTree::new(&[3], &[]).map_err(CliError::internal)?;
+        BoxCells::new(self.view_box, Arc::new(tree)).map_err(|e| self.of_division(e))
+    }
+
+    /// Makes the grid of visibility cubes, which are at the lattice's points and have no region.
     fn of_cubes(&self) -> Result<CubeGrid, CliError> {
         let grid = CubeGrid::new(self.view_box, self.sides()).map_err(|e| self.of_division(e))?;
         match self
@@ -596,12 +636,15 @@ impl CellArgs<'_> {
     }
 
     fn viewpoints(&self, grid: ([u32; 3], &Lattice), walls: bool) -> Result<Viewpoints, CliError> {
+        if self.is_trial {
+            return Ok(Viewpoints::Everywhere);
+        }
         self.args
             .places
             .viewpoints(self.path, self.scene, grid, walls)
     }
 
-    /// Explains why a view box cannot be divided. One that nobody has given is at fault for the scene's sake.
+    /// Explains why a view box cannot be divided. A view box that the user did not give comes from the scene.
     fn of_division(&self, e: DivisionError) -> CliError {
         let (DivisionError::Box { axis, .. }, None) = (&e, self.args.places.view_box.first())
         else {

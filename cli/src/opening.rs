@@ -213,7 +213,10 @@ pub fn check_scene(scene: &Scene, pvs: &Pvs, path: &Path, result: &Path) -> Resu
         // Results of earlier versions name the scene without the places of its objects in a glTF file.
         digest == scene.digest().to_string() || digest == scene.digest_without_sources().to_string()
     };
-    if info["scene"].as_str().is_some_and(|digest| !is_of(digest)) {
+    if info["spec"]["scene"]
+        .as_str()
+        .is_some_and(|digest| !is_of(digest))
+    {
         return Err(CliError::Input(format!(
             "{} was baked from another scene than {}, or with other flags about what blocks and shows; name \
              that scene, or bake again",

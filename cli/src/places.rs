@@ -139,8 +139,8 @@ impl PlaceArgs {
             .map_err(|e| usage(&e))
     }
 
-    /// Finds where in the cells of a grid viewpoints can be. With `walls`, they are only in the region that walls
-    /// enclose around the points of --reachable-from, if they do.
+    /// Finds where in the cells of a grid viewpoints can be. With `walls`, they are only in the region that
+    /// walls enclose around the points of --reachable-from, if they do.
     pub fn viewpoints(
         &self,
         path: &Path,

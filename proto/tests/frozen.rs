@@ -1,5 +1,6 @@
-//! The interface against its frozen form: fields, methods and values may be added, and none that is there may
-//! change or go. After an addition: `SIGHTLINE_FREEZE=1 cargo test --workspace --test frozen`.
+//! The interface against its frozen form: fields, methods and values may be added, and an existing one may
+//! neither change nor disappear. Until the first release an issue may replace the frozen form. After an
+//! addition: `SIGHTLINE_FREEZE=1 cargo test --workspace --test frozen`.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 

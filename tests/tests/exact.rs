@@ -146,9 +146,9 @@ fn what_a_result_says_of_itself_has_to_agree_with_it() {
         ("verified", info.to_owned(), 0, "its method is verified"),
         (
             "exact",
-            info.replace("[3,2,2]", "[3,2,3]"),
+            info.replace("\"z\":2", "\"z\":3"),
             0,
-            "its parameters say [3,2,3] cells",
+            "its parameters say 3x2x3 cells",
         ),
         ("exact", info.to_owned(), 4, "cell 0 has flags 0x4"),
     ] {

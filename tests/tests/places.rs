@@ -453,7 +453,7 @@ fn lines_end_at_the_distance() {
             "bake open.obj -o x.pvs {CELLS} --far 1 --method exact --certificates"
         ))
         .code(2)
-        .says("--far");
+        .says("certificates cannot be combined with far");
 }
 
 /// The marks of many cells exceed what a job's record may hold.

@@ -127,10 +127,8 @@ fn what_portals_do_not_do_is_refused() {
     };
     refused("--certificates", "--certificates");
     refused("--triangle-budget 500", "--triangle-budget");
-    refused(
-        "--max-error 0.01 --contributions",
-        "--max-error, --contributions",
-    );
+    refused("--max-error 0.01 --contributions", "--contributions needs");
+    refused("--max-error 0.01 --contributions", "--max-error needs");
     refused("--backend cpu", "--backend");
     sandbox
         .run("bake rooms.glb --backend none -o x.pvs")
@@ -207,13 +205,10 @@ fn boxes_along_walls_refuse_what_needs_equal_closed_cells() {
     refused("--cells wall:5", "walls:N");
     refused(
         "--cells walls:5 --method exact --certificates",
-        "--certificates",
+        "certificates",
     );
-    refused(
-        "--cells walls:5 --cell-to-cell on --block-cells 4",
-        "--cell-to-cell on, --block-cells",
-    );
-    refused("--cells walls:5 --sampler cubes", "--sampler cubes");
+    refused("--cells walls:5 --cell-to-cell on", "cell-to-cell");
+    refused("--cells walls:5 --sampler cubes", "--cells walls:N needs");
     refused(
         "--cells walls:5 --view-box 0,0,0,1,1,1 --view-box 2,0,0,3,1,1",
         "need a grid",

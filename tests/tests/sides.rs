@@ -152,7 +152,7 @@ fn what_is_exact_refuses_culled_scenes_and_says_what_to_do() {
                 "bake {JOB} -o x.pvs --cull-back-faces --method {method}"
             ))
             .code(2)
-            .says("--cull-back-faces needs --method aggressive");
+            .says("give aggressive, or leave out --cull-back-faces");
     }
     bake(
         &sandbox,

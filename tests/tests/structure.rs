@@ -73,6 +73,27 @@ fn the_coordinator_knows_no_tracer_and_no_search() {
 }
 
 #[test]
+fn assembly_depends_on_no_tracer_and_no_network() {
+    let all = dependencies("sightline-assemble");
+    for foreign in [
+        "wgpu",
+        "libloading",
+        "tokio",
+        "tonic",
+        "sled",
+        "sightline-sampling",
+        "sightline-exact",
+        "sightline-bake",
+        "sightline-coordinator",
+    ] {
+        assert!(
+            !all.contains(foreign),
+            "sightline-assemble depends on {foreign}"
+        );
+    }
+}
+
+#[test]
 fn the_checker_knows_number_types_alone() {
     assert_eq!(ours("sightline-certificate"), ["sightline-numbers"]);
     assert!(ours("sightline-numbers").is_empty());

@@ -1,4 +1,4 @@
-//! `sightline plan`, `tile` and `assemble`: a bake without a coordinator, whose bytes are those of `bake`.
+//! `sightline plan`, `tile` and `assemble`: a bake without a coordinator, with the bytes of `bake`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
@@ -24,7 +24,7 @@ const JOBS: [(&str, &str); 6] = [
     ),
     (
         "objects",
-        "--cells 2x2x2 --granularity objects --contributions --backend cpu",
+        "--cells 2x2x2 --block-cells 4 --granularity objects --contributions --backend cpu",
     ),
     (
         "exact",
@@ -153,7 +153,7 @@ fn damaged_absent_and_foreign_tiles_are_named() {
         .run(&format!("{other} --time-budget 5s -o three"))
         .code(2)
         .says("--time-budget");
-    // A tile that needs others says which.
+    // A tile names the tiles that it needs.
     sandbox
         .ok("plan rooms.glb --sampler cubes --cells 2x2x2 --resolution 16 --backend cpu -o cubes");
     let needs = needs(&sandbox, "cubes");

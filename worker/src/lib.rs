@@ -40,6 +40,7 @@ mod direct;
 mod fetch;
 mod leased_tile;
 mod packs;
+mod planned;
 mod receivers;
 mod session;
 mod spans;

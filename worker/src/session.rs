@@ -89,6 +89,7 @@ impl Worker {
             .http2_keep_alive_interval(Duration::from_secs(10))
             .keep_alive_while_idle(true);
         let shop = TileRunner {
+            planned: Default::default(),
             client: WorkersClient::new(connect::channel(&endpoint, &config.credentials)),
             direct: Direct::new(config.direct),
             config,

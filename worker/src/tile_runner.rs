@@ -19,6 +19,7 @@ use crate::crew;
 use crate::direct::Direct;
 use crate::leased_tile::LeasedTile;
 use crate::packs::PackCache;
+use crate::planned::PlannedJobs;
 use crate::spans::Steps;
 use crate::traced_scenes::TracedScene;
 
@@ -63,19 +64,14 @@ fn is_shared(job: &PlannedJob) -> bool {
     job.visibility().is_some_and(|task| !is_cubes(task))
 }
 
-/// Reads and plans the job of an order.
-fn planned(message: Option<&v1::JobSpec>) -> Result<PlannedJob, String> {
-    let message = message.ok_or("the order has no specification")?;
-    let spec = JobSpec::from_message(message, &SceneFacts::default());
-    spec.map(PlannedJob::stored).map_err(|e| e.to_string())
-}
-
 /// State that the tiles of one worker share.
 pub struct TileRunner {
     /// The worker's configuration.
     pub config: Config,
     /// Cache of packs.
     pub packs: PackCache,
+    /// The jobs of the last orders.
+    pub planned: PlannedJobs,
     /// One tile runs at a time, while the next one fetches its data.
     pub running: tokio::sync::Semaphore,
     /// The way to the store of the blobs.
@@ -111,7 +107,7 @@ impl TileRunner {
     ) -> Result<(), Failure> {
         let begun = Begun::now();
         let infrastructure = Failure::Infrastructure;
-        let job = planned(grant.spec.as_ref()).map_err(Failure::Tile)?;
+        let job = self.planned.job(grant.spec).map_err(Failure::Tile)?;
         let loaded = self.scene(job.spec().scene).await.map_err(infrastructure)?;
         let mut packs = Vec::with_capacity(grant.packs.len());
         for digest in &grant.packs {
@@ -209,7 +205,7 @@ impl TileRunner {
         steps: &Steps,
     ) -> Result<(), String> {
         let begun = Begun::now();
-        let job = planned(help.spec.as_ref())?;
+        let job = self.planned.job(help.spec)?;
         let loaded = self.scene(job.spec().scene).await?;
         steps.step("fetch", begun);
         let _turn = self.running.acquire().await.map_err(|e| e.to_string())?;
@@ -316,9 +312,9 @@ impl TileRunner {
     }
 }
 
-/// Times the backends of this machine on a job's scene: the seconds that each takes for a cube, or for as many
-/// lines. Those that cannot be used for the scene are left out, as are all for a job without a tracer. Each
-/// `owner` has a software gpu for itself.
+/// Times the backends of this machine on a job's scene: the seconds that each takes for a cube, or for as
+/// many lines. It skips backends that do not suit the scene, and all of them for a job without a tracer.
+/// Each `owner` has a software gpu for itself.
 pub fn time_profiles(
     backends: &Backends,
     loaded: &TracedScene,

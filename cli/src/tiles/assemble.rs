@@ -8,6 +8,8 @@ use sightline_assemble::{
     AssembleError, Assembly, OutputState, Outputs, SceneSummary, items, write,
 };
 
+use sightline_pvs::PvsError;
+
 use super::place::PlanPlace;
 use super::planned::PlannedBake;
 use super::tile_file::TileFile;
@@ -26,16 +28,19 @@ struct FolderOutputs<'a> {
 }
 
 impl FolderOutputs<'_> {
-    /// Reads and checks a tile.
+    /// Reads a tile.
     fn tile(&self, tile: u32) -> Result<TileFile, CliError> {
-        let name = self.bake.place.name(&PlannedBake::file(tile));
-        let again = format!("`sightline tile DIR {tile}` computes it again");
-        let wrong = |e: &dyn std::fmt::Display| CliError::Input(format!("{name}: {e}; {again}"));
+        let wrong = |e: &dyn std::fmt::Display| self.wrong(tile, e);
         let found = self
             .bake
             .tile(tile)?
             .ok_or_else(|| wrong(&"it is absent"))?;
-        let found = found.map_err(|e| wrong(&e))?;
+        found.map_err(|e| wrong(&e))
+    }
+
+    /// Reads and checks a tile; returns its samples.
+    fn checked(&self, tile: u32) -> Result<u64, CliError> {
+        let found = self.tile(tile)?;
         let planned = (tile, &self.bake.job.plan().tiles[tile as usize]);
         let checked = check(
             self.bake.task()?,
@@ -44,8 +49,15 @@ impl FolderOutputs<'_> {
             &found.output,
             u64::MAX,
         );
-        checked.map_err(|e| wrong(&e))?;
-        Ok(found)
+        checked.map_err(|e| self.wrong(tile, &e))?;
+        Ok(found.samples)
+    }
+
+    fn wrong(&self, tile: u32, e: &dyn std::fmt::Display) -> CliError {
+        let name = self.bake.place.name(&PlannedBake::file(tile));
+        CliError::Input(format!(
+            "{name}: {e}; `sightline tile DIR {tile}` computes it again"
+        ))
     }
 }
 
@@ -100,7 +112,7 @@ pub fn assemble(args: &AssembleArgs, json: bool) -> Result<(), CliError> {
     };
     let mut samples = 0u64;
     for tile in tiles {
-        samples = samples.saturating_add(outputs.tile(tile)?.samples);
+        samples = samples.saturating_add(outputs.checked(tile)?);
     }
     let assembly = Assembly {
         job: &bake.job,
@@ -117,6 +129,7 @@ pub fn assemble(args: &AssembleArgs, json: bool) -> Result<(), CliError> {
     let mut file = output.begin()?;
     let written = write(assembly, task, &mut file).map_err(|e| match e {
         AssembleError::Read(e) => e,
+        AssembleError::Pvs(PvsError::Write(e)) => CliError::writing(&args.output, &e),
         e => CliError::Input(e.to_string()),
     })?;
     file.flush()

@@ -66,13 +66,19 @@ impl PlanPlace {
         }
     }
 
-    /// Returns true if a file is there.
+    /// Returns true if a file exists.
     ///
     /// # Errors
     /// [`CliError::Input`].
     pub fn has(&self, file: &str) -> Result<bool, CliError> {
         match self {
-            Self::Folder(path) => Ok(path.join(file).is_file()),
+            Self::Folder(path) => match path.join(file).try_exists() {
+                Ok(exists) => Ok(exists),
+                Err(e) => Err(CliError::Input(format!(
+                    "{} cannot be read: {e}",
+                    self.name(file)
+                ))),
+            },
             Self::Bucket(folder) => folder.has(file).map_err(|e| CliError::Input(e.to_string())),
         }
     }

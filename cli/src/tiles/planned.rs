@@ -11,6 +11,10 @@ use super::place::PlanPlace;
 use super::tile_file::{TileFile, TileFileError};
 use crate::error::CliError;
 
+/// The name of the format of `plan.json`.
+const FORMAT: &str = "sightline.plan";
+/// The version of the format.
+const VERSION: u32 = 1;
 /// The file that is written last: with it the folder is complete.
 const PLAN: &str = "plan.json";
 /// The file of the job's message.
@@ -50,7 +54,7 @@ pub struct PlanTile {
 
 /// A planned bake.
 pub struct PlannedBake {
-    /// Its folder.
+    /// The folder or bucket.
     pub place: PlanPlace,
     /// The job.
     pub job: PlannedJob,
@@ -59,19 +63,18 @@ pub struct PlannedBake {
 }
 
 impl PlannedBake {
-    /// Writes a planned bake. One that is there already stays.
+    /// Writes a planned bake. The files of the same bake are written again, so that damaged ones are
+    /// replaced.
     ///
     /// # Errors
     /// [`CliError::Input`] for a folder that holds another bake.
     pub fn write(&self, scene: &Scene) -> Result<(), CliError> {
         let plan = self.document();
-        if let Some(there) = self.place.read(PLAN)? {
-            let there: Option<PlanFile> = serde_json::from_slice(&there).ok();
-            if there.is_some_and(|there| (there.key, there.profile) == (plan.key, plan.profile)) {
-                return Ok(());
-            }
+        let there = self.place.read(PLAN)?;
+        let there = there.and_then(|there| serde_json::from_slice::<PlanFile>(&there).ok());
+        if there.is_some_and(|there| (&there.key, &there.profile) != (&plan.key, &plan.profile)) {
             return Err(CliError::Input(format!(
-                "{} is of another bake; give another folder, or delete that one",
+                "{} is of another bake; give another folder, or delete all of it",
                 self.place.name(PLAN)
             )));
         }
@@ -94,8 +97,8 @@ impl PlannedBake {
             cells: tile.cells,
         });
         PlanFile {
-            format: "sightline.plan".to_owned(),
-            version: 1,
+            format: FORMAT.to_owned(),
+            version: VERSION,
             algorithm: ALGORITHM_VERSION,
             key: hex(&self.job.key()),
             profile: self.profile.clone(),
@@ -119,6 +122,13 @@ impl PlannedBake {
             )));
         };
         let plan: PlanFile = serde_json::from_slice(&plan).map_err(|e| wrong(PLAN, &e))?;
+        if plan.format != FORMAT || plan.version != VERSION {
+            let found = format!("format {:?}, version {}", plan.format, plan.version);
+            return Err(wrong(
+                PLAN,
+                &format!("{found}, and this program has {FORMAT:?}, {VERSION}"),
+            ));
+        }
         if plan.algorithm != ALGORITHM_VERSION {
             return Err(wrong(
                 PLAN,
@@ -177,6 +187,14 @@ impl PlannedBake {
         }
     }
 
+    /// Returns the digest of what the bytes of its tiles depend on: the job's key and the numerics profile.
+    pub fn identity(&self) -> [u8; 32] {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(&self.job.key());
+        hasher.update(self.profile.as_bytes());
+        *hasher.finalize().as_bytes()
+    }
+
     /// Returns the name of a tile's file.
     pub fn file(tile: u32) -> String {
         format!("tiles/{tile}.tile")
@@ -188,7 +206,7 @@ impl PlannedBake {
     /// [`CliError::Input`] for a file that cannot be read; the inner error for bytes that are not the tile's.
     pub fn tile(&self, tile: u32) -> Result<Option<Result<TileFile, TileFileError>>, CliError> {
         let bytes = self.place.read(&Self::file(tile))?;
-        Ok(bytes.map(|bytes| TileFile::decode(&bytes, &self.job.key(), tile)))
+        Ok(bytes.map(|bytes| TileFile::decode(&bytes, &self.identity(), tile)))
     }
 }
 

@@ -18,7 +18,7 @@ use crate::progress::{Progress, say};
 use crate::serve::{self, threads};
 use crate::tiles_args::TileArgs;
 
-/// Computes a tile, unless it is there.
+/// Computes a tile, unless its file exists.
 ///
 /// # Errors
 /// [`CliError`].
@@ -41,7 +41,7 @@ pub fn tile(args: &TileArgs, json: bool) -> Result<(), CliError> {
     let packs = needed(&bake, number)?;
     let done = compute(&bake, number, &packs)?;
     let file = TileFile {
-        key: bake.job.key(),
+        bake: bake.identity(),
         tile: number,
         samples: done.samples,
         output: done.bytes,

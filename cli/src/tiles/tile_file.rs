@@ -1,16 +1,16 @@
-//! The file of a tile: a header with the job, the tile and the samples, then the output, under one digest.
+//! The file of a tile: a header with the bake, the tile and the samples, then the output, under one digest.
 
 /// The first bytes of such a file, with its version.
 const MAGIC: &[u8; 8] = b"SLTILE\0\x01";
-/// Bytes before the output: the first ones, the key, the tile, the samples, and the digest of all that and of the
-/// output.
+/// Bytes before the output: the first ones, the bake, the tile, the samples, and the digest of all that and
+/// of the output.
 const HEADER: usize = 8 + 32 + 4 + 8 + 32;
 
-/// A tile's output with what is known of it.
+/// A tile's output with its bake and its samples.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TileFile {
-    /// The key of the job.
-    pub key: [u8; 32],
+    /// The digest of the job's key and the numerics profile.
+    pub bake: [u8; 32],
     /// The tile's number.
     pub tile: u32,
     /// The number of its samples.
@@ -28,9 +28,9 @@ pub enum TileFileError {
     /// The content does not have the digest.
     #[error("it is damaged")]
     Damaged,
-    /// The tile belongs to another job.
-    #[error("it is of another job")]
-    OtherJob,
+    /// The tile belongs to another job, or was computed with another backend.
+    #[error("it is of another job, or of another backend")]
+    OtherBake,
     /// The tile is another one of the job.
     #[error("it is tile {0}")]
     OtherTile(u32),
@@ -41,7 +41,7 @@ impl TileFile {
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(HEADER + self.output.len());
         bytes.extend(MAGIC);
-        bytes.extend(self.key);
+        bytes.extend(self.bake);
         bytes.extend(self.tile.to_le_bytes());
         bytes.extend(self.samples.to_le_bytes());
         let digest = digest(&bytes, &self.output);
@@ -50,11 +50,11 @@ impl TileFile {
         bytes
     }
 
-    /// Decodes the file of a tile of a job.
+    /// Decodes the file of a tile of a bake.
     ///
     /// # Errors
     /// [`TileFileError`] for other bytes.
-    pub fn decode(bytes: &[u8], key: &[u8; 32], tile: u32) -> Result<Self, TileFileError> {
+    pub fn decode(bytes: &[u8], bake: &[u8; 32], tile: u32) -> Result<Self, TileFileError> {
         if !bytes.starts_with(MAGIC) {
             return Err(TileFileError::Foreign);
         }
@@ -74,13 +74,13 @@ impl TileFile {
             return Err(TileFileError::Damaged);
         };
         let found = Self {
-            key: *own,
+            bake: *own,
             tile: u32::from_le_bytes(*number),
             samples: u64::from_le_bytes(*samples),
             output: output.to_vec(),
         };
         match found {
-            found if found.key != *key => Err(TileFileError::OtherJob),
+            found if found.bake != *bake => Err(TileFileError::OtherBake),
             found if found.tile != tile => Err(TileFileError::OtherTile(found.tile)),
             found => Ok(found),
         }
@@ -100,7 +100,7 @@ mod tests {
 
     fn file() -> TileFile {
         TileFile {
-            key: [7; 32],
+            bake: [7; 32],
             tile: 3,
             samples: 99,
             output: b"output".to_vec(),
@@ -108,12 +108,12 @@ mod tests {
     }
 
     #[test]
-    fn files_come_back_and_belong_to_one_tile_of_one_job() {
+    fn files_come_back_and_belong_to_one_tile_of_one_bake() {
         let bytes = file().encode();
         assert_eq!(TileFile::decode(&bytes, &[7; 32], 3), Ok(file()));
         assert_eq!(
             TileFile::decode(&bytes, &[8; 32], 3),
-            Err(TileFileError::OtherJob)
+            Err(TileFileError::OtherBake)
         );
         assert_eq!(
             TileFile::decode(&bytes, &[7; 32], 4),

@@ -131,18 +131,17 @@ fn finished(
             continue;
         };
         // A specification of another version tells nothing about this one.
-        let Ok(other) = stored_spec::without_viewpoints(&*c.blobs, &record.spec) else {
+        let Ok(other) = stored_spec::spec_without_viewpoints(&*c.blobs, &record.spec) else {
             continue;
         };
-        let other = other.spec();
-        if JobKind::of(other) != kind {
+        if JobKind::of(&other) != kind {
             continue;
         }
         let sum = control::summary(c, record.id)?;
         if sum.cells_done == 0 || sum.tiles_set_aside > 0 {
             continue;
         }
-        let like = other.scene == spec.scene && samples_alike(other, spec);
+        let like = other.scene == spec.scene && samples_alike(&other, spec);
         jobs.push(Finished {
             like,
             cells: sum.cells_done,

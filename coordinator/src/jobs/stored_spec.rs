@@ -1,5 +1,5 @@
-//! How a job's specification is kept: in the job's record, or, when its viewpoints or its boxes make it too
-//! large for a record, as a blob that the record names beside what is left.
+//! The stored specification of a job: in the job's record, or, when its viewpoints or its boxes make it too
+//! large for a record, as a blob. The record then has the blob's digest and the specification without them.
 
 use prost::Message as _;
 use sightline_model::job::message::{has_boxes, remove_large_parts};
@@ -67,15 +67,19 @@ pub(crate) fn named(bytes: &[u8]) -> Vec<Digest> {
 /// # Errors
 /// The reason, when it cannot be decoded or read.
 pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
+    whole_spec(blobs, bytes).map(PlannedJob::stored)
+}
+
+fn whole_spec(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
     let (part, digest) = part(bytes)?;
     let Some(digest) = digest else {
-        return planned(&part);
+        return checked(&part);
     };
     let blob = blobs
         .read(&digest)
         .map_err(|e| format!("its viewpoints or boxes cannot be read: {e}; submit it again"))?;
     let whole = v1::JobSpec::decode(&*blob);
-    planned(&whole.map_err(|e| format!("its specification cannot be read: {e}; submit it again"))?)
+    checked(&whole.map_err(|e| format!("its specification cannot be read: {e}; submit it again"))?)
 }
 
 /// Reads and plans a record's specification, without its viewpoints where the whole is a blob.
@@ -83,18 +87,25 @@ pub(crate) fn whole(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, Strin
 /// # Errors
 /// The reason, when it cannot be decoded or read.
 pub(crate) fn without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result<PlannedJob, String> {
+    spec_without_viewpoints(blobs, bytes).map(PlannedJob::stored)
+}
+
+/// Reads a record's specification, without its viewpoints where the whole is a blob.
+///
+/// # Errors
+/// The reason, when it cannot be decoded or read.
+pub(crate) fn spec_without_viewpoints(blobs: &dyn Blobs, bytes: &[u8]) -> Result<JobSpec, String> {
     let (part, digest) = part(bytes)?;
     match digest.is_some() && has_boxes(&part) {
-        true => whole(blobs, bytes),
-        false => planned(&part),
+        true => whole_spec(blobs, bytes),
+        false => checked(&part),
     }
 }
 
-fn planned(message: &v1::JobSpec) -> Result<PlannedJob, String> {
+fn checked(message: &v1::JobSpec) -> Result<JobSpec, String> {
     // A stored message has every field, so that no fact about the scene is needed.
     let spec = JobSpec::from_message(message, &SceneFacts::default());
-    spec.map(PlannedJob::stored)
-        .map_err(|e| format!("{e}; submit it again"))
+    spec.map_err(|e| format!("{e}; submit it again"))
 }
 
 #[cfg(test)]

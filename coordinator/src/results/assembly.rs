@@ -69,7 +69,7 @@ impl AssembleError {
     }
 }
 
-/// Tells a full disk, which is waited for, from other errors.
+/// Converts an error of the outputs. The coordinator waits for space on a full disk.
 fn of_outputs(blobs: &dyn Blobs, e: sightline_assemble::AssembleError<BlobError>) -> AssembleError {
     match e {
         sightline_assemble::AssembleError::Read(e) => e.into(),
@@ -78,7 +78,7 @@ fn of_outputs(blobs: &dyn Blobs, e: sightline_assemble::AssembleError<BlobError>
     }
 }
 
-/// The same for the answers of a job of ambient occlusion.
+/// Converts an error of the answers of a job of ambient occlusion.
 fn of_answers(blobs: &dyn Blobs, e: AnswerError<BlobError>) -> AssembleError {
     match e {
         AnswerError::Read(e) => e.into(),
@@ -94,7 +94,7 @@ const WRITTEN_AT_ONCE: usize = 1 << 20;
 pub(crate) struct AssemblyInput {
     pub(crate) work: Arc<PlannedJob>,
     pub(crate) profile: String,
-    /// What there is of each tile.
+    /// The output of each tile.
     pub(crate) outputs: Vec<Output>,
     /// Samples of done tiles.
     pub(crate) samples: u64,
@@ -120,7 +120,7 @@ impl Outputs for StoredOutputs<'_> {
     fn read(&self, tile: u32) -> Result<Vec<u8>, BlobError> {
         match self.outputs[tile as usize].digest() {
             Some(digest) => self.blobs.read(&digest),
-            // Nobody reads the output of an open tile.
+            // An open tile has no output, and `Outputs` permits no read of it.
             None => Ok(Vec::new()),
         }
     }

@@ -65,9 +65,9 @@ pub(super) fn profile_for(choice: Option<TracerChoice>, profiles: &[String]) -> 
     named.map_or(Binding::Cannot, Binding::Bind)
 }
 
-/// Chooses the numerics profile of a job on a machine with `profiles`, as the scheduler does when that machine is
-/// the first to take the job. `time` measures the profiles, each in seconds for a cube; it is called when several
-/// are worth it. `None` when no profile suits the job.
+/// Chooses the numerics profile of a job on a machine with `profiles`, as the scheduler does when that
+/// machine is the first to take the job. `time` measures the profiles, each in seconds for a cube; it is
+/// called when several are worth it. `None` when no profile suits the job.
 pub fn choose_profile(
     choice: Option<TracerChoice>,
     profiles: &[String],

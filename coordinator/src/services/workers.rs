@@ -417,8 +417,8 @@ fn check_hello(hello: &v1::Hello) -> Result<(), Status> {
     }
     if hello.algorithm != ALGORITHM_VERSION {
         return Err(Status::invalid_argument(format!(
-            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run the \
-             same version of sightline on both",
+            "this worker ({}) samples by algorithm {}, the coordinator plans for {ALGORITHM_VERSION}; run \
+             the same version of sightline on both",
             hello.version, hello.algorithm
         )));
     }

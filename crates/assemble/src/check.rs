@@ -1,4 +1,4 @@
-//! The check of a tile's output against what the job's plan expects of the tile.
+//! The check of a tile's output against the job's plan.
 
 use sightline_model::codec::{self, CodecError};
 use sightline_model::{CellSet, Granularity, Node, TileOutput, Visibility};
@@ -7,7 +7,7 @@ use sightline_viewcells::{CellBox, Division, Tile, TileKind};
 
 use crate::placeholder::expected_nodes;
 
-/// What a cell has besides its set, at most, in bytes.
+/// Maximum length of a cell without its set, in bytes.
 const LEAST_UNPACKED: u64 = 4096;
 
 /// An output that is not that of its tile.
@@ -20,10 +20,10 @@ pub enum OutputError {
     #[error("the output is large and was not checked yet")]
     Large,
     /// The tree of the cells is not the tile's.
-    #[error("the output's cells are not those of the tile's grid")]
+    #[error("the output has other cells than the tile's grid")]
     Cells,
-    /// The cells without viewpoints are not those of the job.
-    #[error("the output's cells without viewpoints are not those of the job")]
+    /// The job has other cells without viewpoints.
+    #[error("the output has other cells without viewpoints than the job")]
     Viewpoints,
     /// The first tile of a job with portals has the portals of the result, and no other has.
     #[error("the output's portals cannot be read, or it lacks them, or it has some and should not")]
@@ -44,7 +44,7 @@ pub enum OutputError {
     Kind,
 }
 
-/// The numbers of what a scene has.
+/// The numbers of triangles and objects of a scene.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SceneSize {
     /// The number of triangles.
@@ -72,8 +72,8 @@ impl SceneSize {
     }
 }
 
-/// Returns the maximum length of a tile's output before it is unpacked, in bytes. Packing adds little to bytes
-/// that it cannot shorten.
+/// Returns the maximum length of a tile's output before it is unpacked, in bytes. Packing adds little to
+/// bytes that it cannot shorten.
 pub fn most_packed(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     packed(most_unpacked(task, tile, scene))
 }
@@ -96,7 +96,7 @@ fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
     let pairs = task
         .pair_cells()
         .map_or(0, |sides| sides.map(u64::from).iter().product::<u64>());
-    // An adaptive tile has more cells than its plan says, and at most two to the depth of its tree.
+    // An adaptive tile has more cells than in its plan, and at most two to the depth of its tree.
     let cells = match task.division() {
         Division::Adaptive { .. } => tile.cells.saturating_mul(1 << 12),
         Division::Grid(_) | Division::Tree(_) => tile.cells,
@@ -107,11 +107,11 @@ fn most_unpacked(task: &Visibility, tile: &Tile, scene: SceneSize) -> u64 {
         .min(codec::MAX_UNPACKED)
 }
 
-/// Checks the output of a tile, the tile number `number` of the job's plan, and returns the number of its cells.
-/// An output that unpacks to more than `most` bytes is not unpacked further.
+/// Checks the output of a tile, the tile number `number` of the job's plan, and returns the number of its
+/// cells. An output that unpacks to more than `most` bytes is not unpacked further.
 ///
 /// # Errors
-/// [`OutputError`] for the first difference from what the plan expects.
+/// [`OutputError`] for the first difference from the plan.
 pub fn check(
     task: &Visibility,
     (number, tile): (u32, &Tile),
@@ -178,8 +178,8 @@ pub fn check(
     Ok(sets.cells.len() as u64)
 }
 
-/// Tells for each cell of a tile with these nodes whether no viewpoint is in it; empty when viewpoints are
-/// everywhere.
+/// Returns for each cell of a tile with these nodes whether no viewpoint is in it; an empty list when
+/// viewpoints are everywhere.
 fn unreached(task: &Visibility, of: &CellBox, nodes: &[Node]) -> Vec<bool> {
     if task.viewpoints().mask().is_none() {
         return Vec::new();

@@ -5,8 +5,7 @@ use sightline_model::{ALGORITHM_VERSION, Visibility};
 use sightline_scene::Kinds;
 use sightline_scene::kinds::KindCount;
 
-use crate::result::Assembly;
-use crate::{OutputState, Outputs};
+use crate::{Assembly, OutputState, Outputs};
 
 /// Describes the bake as a JSON object.
 pub fn info<O: Outputs>(input: &Assembly<'_, O>, task: &Visibility) -> String {

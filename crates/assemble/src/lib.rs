@@ -1,10 +1,11 @@
 //! The outputs of a job's tiles, checked and joined to a result.
 //!
-//! A tile's output is checked against its job's plan ([`check()`]). When all are there, [`write`] joins them to a
-//! `.pvs` file, and [`openness::write`] those of a job of ambient occlusion. A tile that cannot be computed gets a
-//! [`placeholder()`]. The bytes depend on the job and the outputs alone. The crate knows no tracer, no store and
-//! no network: whoever has the outputs implements [`Outputs`].
+//! A tile's output is checked against its job's plan ([`check()`]). When all exist, [`write()`] joins them to
+//! a `.pvs` file, and [`openness::write`] joins the outputs of a job of ambient occlusion. A tile that cannot be computed
+//! gets a [`placeholder()`]. The bytes depend only on the job and the outputs. The crate depends on no
+//! tracer, no store and no network: its users implement [`Outputs`].
 
+mod assembly;
 pub mod check;
 mod columns;
 mod info;
@@ -14,9 +15,10 @@ mod placeholder;
 mod result;
 mod summary;
 
+pub use assembly::Assembly;
 pub use check::{OutputError, check};
 pub use placeholder::{expected_nodes, placeholder};
-pub use result::{AssembleError, Assembly, items, write};
+pub use result::{AssembleError, items, write};
 pub use summary::SceneSummary;
 
 /// The state of a tile's output.
@@ -24,7 +26,7 @@ pub use summary::SceneSummary;
 pub enum OutputState {
     /// There is none yet.
     Open,
-    /// It was computed.
+    /// A worker has computed it.
     Done,
     /// The tile was given up; a placeholder is its output.
     SetAside,

@@ -1,5 +1,5 @@
-//! The answers of jobs of ambient occlusion: a tile's output is checked, and the outputs of all tiles become one
-//! result.
+//! The answers of jobs of ambient occlusion: a tile's output is checked, and the outputs of all tiles become
+//! one result.
 
 use std::io::{self, Write};
 

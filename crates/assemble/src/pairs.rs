@@ -1,8 +1,8 @@
-//! Which cells of a result see which: the relations of all tiles, joined and renumbered.
+//! The pairs of cells of a result that see each other: the relations of all tiles, joined and renumbered.
 //!
-//! A tile numbers cells by a regular grid over the view box ([`Visibility::pair_cells`]); a result numbers them
-//! in the order of its tree. A cell of an adaptive tree holds several cells of that grid, or is a part of
-//! one.
+//! A tile numbers cells by a regular grid over the view box ([`Visibility::pair_cells`]); a result numbers
+//! them in the order of its tree. A cell of an adaptive tree holds several cells of that grid, or is a part
+//! of one.
 
 use sightline_model::{PairTable, TilePairs, Visibility};
 use sightline_pvs::{CellPairs, MOST_PAIR_CELLS, PvsError, Relation};

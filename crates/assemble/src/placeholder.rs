@@ -7,8 +7,8 @@ use sightline_viewcells::{CellBox, Division, Lattice, Tile, TileKind};
 
 use crate::openness;
 
-/// Encodes the placeholder of a tile: the tree of its cells with empty sets, because every cell will show every
-/// triangle, including those without area. For a tile of samples: no samples.
+/// Encodes the placeholder of a tile: the tree of its cells with empty sets, because every cell will show
+/// every triangle, including those without area. For a tile of samples: no samples.
 ///
 /// # Errors
 /// When compression fails.
@@ -24,8 +24,8 @@ pub fn placeholder(job: &PlannedJob, tile: &Tile) -> Result<Vec<u8>, std::io::Er
     codec::encode(&output)
 }
 
-/// Returns the subtree below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on the
-/// samples.
+/// Returns the subtree below a leaf tile's cell; `None` for an adaptive division, whose subtree depends on
+/// the samples.
 pub fn expected_nodes(task: &Visibility, tile: &Tile) -> Option<Vec<Node>> {
     let is_known = !matches!(task.division(), Division::Adaptive { .. });
     is_known.then(|| empty_cells(task, tile).nodes)

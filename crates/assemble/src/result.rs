@@ -2,11 +2,10 @@
 //!
 //! Tiles are read one at a time.
 
-use std::fs::File;
 use std::io::Write;
 
 use sightline_model::codec::{self, CodecError};
-use sightline_model::{CellSet, CellSets, Granularity, Node, PlannedJob, TileOutput, Visibility};
+use sightline_model::{CellSet, CellSets, Granularity, Node, TileOutput, Visibility};
 use sightline_pvs::{
     Builder, Cell, CellTree, Contribution, Header, Items, NOT_REACHED, Object, PvsError, SET_ASIDE,
     Source,
@@ -20,7 +19,7 @@ use crate::columns::Statistics;
 use crate::info::info;
 use crate::pairs::PairJoin;
 use crate::placeholder::empty_cells;
-use crate::{OutputState, Outputs, SceneSummary};
+use crate::{Assembly, OutputState, Outputs, SceneSummary};
 
 /// A result that cannot be assembled.
 #[derive(Debug, thiserror::Error)]
@@ -33,7 +32,7 @@ pub enum AssembleError<E> {
     Tile {
         /// The tile.
         tile: u32,
-        /// How it differs.
+        /// The difference.
         reason: &'static str,
     },
     /// A tile's output cannot be decoded.
@@ -49,24 +48,6 @@ pub enum AssembleError<E> {
     Pvs(#[from] PvsError),
 }
 
-/// A job whose result is written.
-pub struct Assembly<'a, O> {
-    /// The job.
-    pub job: &'a PlannedJob,
-    /// The numerics profile that its tiles were computed with.
-    pub profile: &'a str,
-    /// The number of samples of its done tiles.
-    pub samples: u64,
-    /// The facts about its scene.
-    pub scene: &'a SceneSummary,
-    /// The items that its sets name ([`items`]); `None` for triangles.
-    pub items: Option<Items>,
-    /// The outputs of its tiles.
-    pub outputs: &'a O,
-    /// Where certificates wait for their place in the file; in memory without one.
-    pub scratch: Option<File>,
-}
-
 /// Finds the items that the sets of a job name; `None` for triangles.
 pub fn items(scene: &Scene, items: Granularity) -> Option<Items> {
     match items {
@@ -78,8 +59,8 @@ pub fn items(scene: &Scene, items: Granularity) -> Option<Items> {
     }
 }
 
-/// Writes the `.pvs` file of a job of visibility and returns its length. Cells of tiles that are not done or were
-/// set aside show everything, as undecided.
+/// Writes the `.pvs` file of a job of visibility and returns its length. Cells of tiles that are not done or
+/// were set aside show everything, as undecided.
 ///
 /// # Errors
 /// [`AssembleError`].
@@ -113,7 +94,8 @@ pub fn write<O: Outputs>(
             }
         }
     }
-    // The visible set of every cell of a tile that was set aside; placeholders do not repeat it for every cell.
+    // The visible set of every cell of a tile that was set aside; placeholders do not repeat it for every
+    // cell.
     let all: Vec<u32> = match &input.items {
         None => (0..scene.triangles)
             .filter(|t| scene.kinds.kind(*t).shows())
@@ -187,8 +169,8 @@ pub fn write<O: Outputs>(
     Ok(builder.finish(out)?.file_bytes)
 }
 
-/// Reads the cells of a leaf tile, whose sets name at most `items` items. Those of a tile that is not done are
-/// empty, like those of one that was set aside.
+/// Reads the cells of a leaf tile, whose sets name at most `items` items. The cells of a tile that is not
+/// done or was set aside are empty.
 fn read<O: Outputs>(
     input: &Assembly<'_, O>,
     task: &Visibility,

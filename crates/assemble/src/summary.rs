@@ -11,11 +11,11 @@ pub struct SceneSummary {
     pub objects: Vec<Object>,
     /// The bounds in world space.
     pub bounds: Aabb,
-    /// What the triangles do to sight lines.
+    /// The kinds of the triangles.
     pub kinds: Kinds,
     /// The places of the objects in their glTF file; empty for other files.
     pub sources: Vec<Source>,
-    /// Whether triangles are seen from their front sides alone.
+    /// Whether triangles are seen from their front sides only.
     pub is_culled: bool,
 }
 

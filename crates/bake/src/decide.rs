@@ -11,10 +11,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenBox, codec};
 use sightline_exact::{
-    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Limits, Places, QueryStatistics, Task,
-    decide, decide_group,
+    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Places, QueryStatistics, Task, decide,
+    decide_group,
 };
-use sightline_model::{CellSet, CellSets, Decision, DecisionStats, Effort, Visibility};
+use sightline_model::{CellSet, CellSets, Decision, DecisionStats};
 use sightline_numbers::Aabb;
 use sightline_portals::{Partition, sights};
 use sightline_sampling::Watcher;
@@ -22,34 +22,10 @@ use sightline_sampling::crew::Crew;
 use sightline_viewcells::{CellBox, Lattice};
 
 use crate::cell_phase::{Undecided, decide_shared};
-use crate::choices::{GROUP_SHARE, box_seed, exact_limits};
+use crate::choices::{GROUP_SHARE, box_seed};
 use crate::decide_pairs;
+use crate::deciding::Deciding;
 use crate::groups::{CellGroup, cells_and_groups};
-use crate::scope::TileScope;
-
-/// How the cells of a tile are decided.
-pub struct Deciding<'a> {
-    /// The cells.
-    pub scope: &'a TileScope,
-    /// The limits of a single query.
-    pub limits: Limits,
-    /// Whether certificates are kept.
-    pub certificates: bool,
-    /// The distance from the viewpoint where sight lines end; `None` for no end.
-    pub far: Option<f64>,
-}
-
-impl<'a> Deciding<'a> {
-    /// Finds how a task decides the cells of a tile.
-    pub fn new(task: &Visibility, effort: Effort, scope: &'a TileScope) -> Self {
-        Self {
-            scope,
-            limits: exact_limits(effort),
-            certificates: task.has_certificates(),
-            far: task.far.map(|far| far.get()),
-        }
-    }
-}
 
 /// Decides the cells of a tile with the subtree of `root`. `sets` holds the sampled sets and receives the
 /// decided ones. `places` is where viewpoints are, if not everywhere in the cells. Walls in the faces of
@@ -177,7 +153,7 @@ fn cell(
         seen: &set.visible,
         above: &around.hidden,
         listed: around.listed.as_deref(),
-        limits: deciding.limits.clone(),
+        limits: deciding.limits,
         seed: box_seed(at, deciding.scope.seed),
         keep: deciding.certificates,
         stop,
@@ -300,7 +276,7 @@ fn groups_first(
             places,
             seen: &seen[range.clone()],
             listed: listed.get(range.clone()).unwrap_or_default(),
-            limits: deciding.limits.clone(),
+            limits: deciding.limits,
             seed: box_seed(at, deciding.scope.seed),
             keep: deciding.certificates,
             stop: &|| watcher.cancelled() || until.is_some_and(|u| Instant::now() >= u),

@@ -15,7 +15,7 @@ use sightline_model::{CellSets, PairTable};
 use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, UNITS_PER_CELL};
 
-use crate::decide::Deciding;
+use crate::deciding::Deciding;
 
 /// Part of a distance that covers the rounding of its computation in doubles.
 const MARGIN: f64 = 1e-12;

@@ -1,8 +1,8 @@
 //! One tile from start to end: sampling, exact queries, ambient occlusion, and the bytes that come out.
 //!
-//! [`run`] is the only place where choices that change bytes meet. Their values are in [`choices`], beside the
-//! version of the algorithm. This crate keeps nothing between two tiles; a worker owns scenes, tracers, packs
-//! and receivers.
+//! [`run`] is the only place where choices that change bytes meet. Their values are in [`choices`], next to
+//! the version of the algorithm. This crate has no state between two tiles; a worker owns scenes, tracers,
+//! packs and receivers.
 //!
 //! ```no_run
 //! use std::sync::Arc;
@@ -39,7 +39,9 @@ mod cell_phase;
 pub mod choices;
 mod decide;
 mod decide_pairs;
+mod deciding;
 mod groups;
+mod inputs;
 mod outcome;
 mod portals;
 mod sampled;
@@ -47,73 +49,18 @@ pub mod scene;
 mod scope;
 mod within;
 
-use sightline_model::receivers::Receivers;
 use sightline_model::{Method, PlannedJob, Task};
-use sightline_sampling::Backend;
 pub use sightline_sampling::Watcher;
 pub use sightline_sampling::crew::{Alone, Crew};
 
+pub use crate::inputs::{Inputs, PackBytes};
 pub use crate::outcome::{BakeError, Control, PackDigest, TileDone};
 pub use crate::scene::BakeScene;
 
-/// The pack of a tile that another tile needs.
-#[derive(Clone, Copy, Debug)]
-pub enum PackBytes<'a> {
-    /// Its bytes.
-    Present(&'a [u8]),
-    /// The digest of a pack that nobody has any more: it is computed again and must have this digest.
-    Lost(PackDigest),
-}
-
-/// The inputs of a tile beside its job. Which of them it needs depends on the job's task.
-#[derive(Clone, Copy)]
-pub struct Inputs<'a> {
-    /// The scene.
-    pub scene: &'a BakeScene,
-    /// What traces and renders, for jobs that sample.
-    pub tracer: Option<&'a dyn Backend>,
-    /// The packs of the tiles that the tile needs, in the plan's order.
-    pub packs: &'a [PackBytes<'a>],
-    /// The receivers that a job of ambient occlusion names.
-    pub receivers: Option<&'a Receivers>,
-}
-
-impl<'a> Inputs<'a> {
-    /// Makes the inputs of a tile that needs a scene alone.
-    pub fn new(scene: &'a BakeScene) -> Self {
-        Self {
-            scene,
-            tracer: None,
-            packs: &[],
-            receivers: None,
-        }
-    }
-
-    /// Adds what traces and renders.
-    #[must_use]
-    pub fn with_tracer(self, tracer: &'a dyn Backend) -> Self {
-        let tracer = Some(tracer);
-        Self { tracer, ..self }
-    }
-
-    /// Adds the packs of the tiles that the tile needs.
-    #[must_use]
-    pub fn with_packs(self, packs: &'a [PackBytes<'a>]) -> Self {
-        Self { packs, ..self }
-    }
-
-    /// Adds the receivers of a job of ambient occlusion.
-    #[must_use]
-    pub fn with_receivers(self, receivers: &'a Receivers) -> Self {
-        let receivers = Some(receivers);
-        Self { receivers, ..self }
-    }
-}
-
 /// Computes tile `number` of the job's plan.
 ///
-/// The bytes are a pure function of the specification, the scene and the tracer's numerics profile, unless the
-/// job has a time budget.
+/// The bytes are a pure function of the specification, the scene and the tracer's numerics profile, unless
+/// the job has a time budget.
 ///
 /// # Errors
 /// [`BakeError`]; a cancelled tile is one.

@@ -5,17 +5,19 @@ use std::time::Instant;
 
 use sightline_model::{Method, Pack, PlannedJob, Sampling, TileOutput, Visibility, codec};
 use sightline_portals::{NoPartition, OpenFaces};
-use sightline_sampling::crew::Phase;
+use sightline_sampling::crew::{Crew, Phase};
 use sightline_sampling::lines::hits;
 use sightline_sampling::{Backend, BackendError, JobContext, TileError, Watcher, tile};
 use sightline_viewcells::{Plan, TileKind};
 
 use crate::choices::sampling_deadline;
-use crate::decide::{self, Deciding};
+use crate::decide;
+use crate::deciding::Deciding;
+use crate::inputs::{Inputs, PackBytes};
 use crate::outcome::tile_error;
 use crate::scope::TileScope;
 use crate::within::Within;
-use crate::{BakeError, Control, Crew, Inputs, PackBytes, PackDigest, TileDone, groups, portals};
+use crate::{BakeError, Control, PackDigest, TileDone, groups, portals};
 
 /// Computes tile `number` of a job.
 pub fn run(
@@ -140,7 +142,7 @@ pub fn run(
     })
 }
 
-/// The bytes of a lost pack, computed again.
+/// Computes the bytes of a lost pack again.
 fn again(
     job: &JobContext<'_>,
     plan: &Plan,
@@ -160,7 +162,7 @@ fn again(
     )))
 }
 
-/// The encoded output of a tile, computed together with the packs that it needs. The depth of the kd-tree
+/// Computes the encoded output of a tile together with the packs that it needs. The depth of the kd-tree
 /// bounds their number, and the plan puts every tile after those it needs.
 fn recompute(
     job: &JobContext<'_>,
@@ -179,7 +181,7 @@ fn recompute(
     codec::encode(&output).map_err(broken)
 }
 
-/// A pack that was encoded here and cannot be read here.
+/// Makes the error of a pack that was encoded here and cannot be read here.
 fn broken(e: impl std::fmt::Display) -> BakeError {
     BakeError::Backend(BackendError::Failed {
         profile: "this worker".to_owned(),
@@ -187,7 +189,7 @@ fn broken(e: impl std::fmt::Display) -> BakeError {
     })
 }
 
-/// A crew that goes on after the sampler has ended it.
+/// A crew that continues after the sampler has ended it.
 struct Open<'a>(&'a dyn Crew);
 
 impl Crew for Open<'_> {

@@ -1,7 +1,7 @@
 //! The cells of a tile, with everything about them that sampling and exact queries ask for.
 //!
-//! A tile of a grid or an adaptive tree has the division of its job. Each box of a tree is a grid of one cell
-//! of its own. Boxes are open: a wall in a face blocks ([`sightline_portals::OpenFaces`]). Rays keep off these
+//! A tile of a grid or an adaptive tree has the division of its job. Each box of a tree is a separate grid of
+//! one cell. Boxes are open: a wall in a face blocks ([`sightline_portals::OpenFaces`]). Rays keep off these
 //! walls ([`sightline_portals::open_box()`]).
 
 use std::sync::Arc;
@@ -25,7 +25,7 @@ pub struct TileScope {
     pub lattice: Lattice,
     /// The box that the division divides, in world space.
     pub view_box: Aabb,
-    /// Where in the cells viewpoints can be; `None` for everywhere.
+    /// The marks of viewpoints in the cells; `None` for viewpoints everywhere.
     pub mask: Option<Arc<PartMask>>,
     /// Seed of the random numbers.
     pub seed: u64,

@@ -31,7 +31,8 @@ use sightline_viewcells::{CellBox, Division, PartMask, UNITS_PER_CELL};
 
 const CELLS: [u32; 3] = [3, 2, 2];
 
-/// Returns the sets of a scene's cells, sampled or decided; `None` without Embree, which under `CI` is a failure.
+/// Returns the sets of a scene's cells, sampled or decided; `None` without Embree, which under `CI` is a
+/// failure.
 fn sets(
     scene: &Arc<Scene>,
     effort: Option<Effort>,

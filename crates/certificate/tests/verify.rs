@@ -161,14 +161,21 @@ fn statements_about_the_whole_result_are_checked() {
         change(&mut result);
         verify(&triangles(), &result, &VerifyOptions::default())
     };
-    assert!(check(&|r| r.parameters = r#"{"method":"exact","division":{"grid":[1,1,1]}}"#).is_ok());
+    let one_cell = r#"{"spec":{"visibility":{"exact":{"effort":"full",
+        "sampling":{"lines":{"grid":{"x":1,"y":1,"z":1}}}}}}}"#;
+    let two_cells = r#"{"spec":{"visibility":{"exact":{
+        "sampling":{"guided":{"grid":{"x":1,"y":2,"z":1}}}}}}}"#;
+    assert!(check(&|r| r.parameters = one_cell).is_ok());
     let whole =
         |r: Result<_, VerifyError>| matches!(r, Err(VerifyError::Refused(r)) if r.cell.is_none());
     assert!(whole(check(&|r| r.method = "trust")));
-    assert!(whole(check(&|r| r.parameters = r#"{"method":"verified"}"#)));
-    assert!(whole(check(
-        &|r| r.parameters = r#"{"division":{"grid":[1,2,1]}}"#
-    )));
+    for other in [
+        r#"{"spec":{"visibility":{"exact":{"effort":"bounded"}}}}"#,
+        r#"{"spec":{"visibility":{"portals":{}}}}"#,
+    ] {
+        assert!(whole(check(&|r| r.parameters = other)), "{other}");
+    }
+    assert!(whole(check(&|r| r.parameters = two_cells)));
     assert!(whole(check(&|r| r.flags = 4)));
     // A cell is said to have no viewpoints only where the parameters say how many have some, and has an empty
     // set then.

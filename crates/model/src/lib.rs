@@ -1,9 +1,9 @@
 //! The job and the outputs of its tiles.
 //!
 //! The coordinator, the workers and the clients agree on a job through this crate. [`job`] has the checked
-//! specification of a job with its key and its plan, [`output`] the outputs of tiles with their bytes and the
-//! statistics of cells as named columns, and [`ambient`] the receivers and the answers of a job of ambient
-//! occlusion. The crate samples nothing, decides nothing, and knows no tracer and no network connection.
+//! specification of a job with its key and its plan. [`output`] has the outputs of tiles with their bytes, and
+//! the statistics of cells as named columns. [`ambient`] has the receivers and the answers of a job of ambient
+//! occlusion. The crate samples nothing and decides nothing, and depends on no tracer and no network.
 //!
 //! ```
 //! use glam::Vec3;
@@ -36,13 +36,13 @@ pub use job::cells::{
 pub use job::message::{USUAL_DEPTH, USUAL_GRID};
 pub use job::names::{
     CellToCell, Effort, ErrorMeasure, Granularity, MethodName, NO_PROFILE, NamedValue, SamplerName,
-    SupersetChoice, TracerChoice, UnknownValue, Up,
+    SupersetChoice, TracerChoice, Up,
 };
-pub use job::numbers::{self, OutOfRange};
+pub use job::numbers;
 pub use job::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};
 pub use job::{
-    ALGORITHM_VERSION, Ambient, JobSpec, Method, PlannedJob, SceneFacts, SpecError, Task,
-    Visibility,
+    ALGORITHM_VERSION, Ambient, JobSpec, Method, OutOfRange, PlannedJob, SceneFacts, SpecError,
+    Task, UnknownValue, Visibility,
 };
 pub use output::{
     CellSet, CellSets, Decision, Hits, Node, Pack, TileOutput, VisibilitySample, bound, codec,

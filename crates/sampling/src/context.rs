@@ -13,27 +13,27 @@ pub use crate::error::TileError;
 use crate::prepared::PreparedScene;
 use crate::rows::Rows;
 
-/// How the cells of a tile are sampled: the sampler of the job without its cells, which for a tile of a box are
-/// others than those of the job.
+/// The sampler of a tile: the sampler of the job without its cells. A tile of a box has other cells than its
+/// job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TileSampler {
-    /// Sight lines, alone or guided.
+    /// Sight lines.
     Lines(LineSampler),
     /// Visibility cubes.
     Cubes(CubeParams),
 }
 
-/// How lines sample the cells of a tile.
+/// The sampler of a tile that casts lines.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LineSampler {
     /// Lines that all cells share.
     Shared {
         /// The expected fraction of missed sight lines at which a cell is finished.
         error: f64,
-        /// What else a finished cell has.
+        /// The second condition of a finished cell.
         stop: Stop,
     },
-    /// Guided rays of each cell alone.
+    /// Guided rays of each cell, which no other cell shares.
     Guided {
         /// The number of rays of each cell.
         rays: u64,
@@ -69,7 +69,7 @@ pub struct JobContext<'a> {
     pub lattice: Lattice,
     /// The sampler.
     pub sampler: TileSampler,
-    /// What the sets name.
+    /// The items that the sets list.
     pub items: Granularity,
     /// The distance from the viewpoint where sight lines end; `None` for no end.
     pub far: Option<f64>,

@@ -24,7 +24,7 @@ pub struct CubeSpec {
 }
 
 impl CubeSpec {
-    /// Returns the cubes that a sampler needs; those of the default parameters if it renders none.
+    /// Returns the cubes that a sampler needs, or the default cubes if it renders none.
     pub fn of(sampler: &Sampler) -> Self {
         Self::new(&sampler.cube_params().copied().unwrap_or_default())
     }

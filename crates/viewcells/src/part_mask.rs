@@ -116,7 +116,7 @@ impl PartMask {
     /// `bytes`, and leaves the rest there.
     ///
     /// # Errors
-    /// [`PartMaskError`] when the bytes are not those of [`Self::encode`], or no part is marked.
+    /// [`PartMaskError`] when [`Self::encode`] does not write such bytes, or no part is marked.
     pub fn decode(bytes: &mut &[u8], cells: [u32; 3]) -> Result<Self, PartMaskError> {
         let mut marks = Self::empty(cells);
         let (mut at, mut before) = (0usize, None);

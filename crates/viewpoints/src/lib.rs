@@ -1,11 +1,11 @@
 //! Where viewpoints can be: marks the parts of view cells that hold viewpoints, from boxes, closed meshes,
-//! navigation meshes, points and what is reached from them along free segments.
+//! navigation meshes, points, and the parts that free segments from these points reach.
 //!
 //! Marks are [`PartMask`]: each cell of a grid has 4×4×4 parts, and a part is marked when a viewpoint may
 //! be in it. Boxes and meshes mark every part that they meet. Points mark the parts that rays from them
 //! cross, so a part behind a gap that no ray finds stays unmarked.
 //!
-//! This crate samples no visibility and knows no job.
+//! This crate samples no visibility and depends on no job.
 
 pub mod boxes;
 pub mod mesh;

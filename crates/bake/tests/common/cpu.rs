@@ -6,7 +6,7 @@ use sightline_model::{JobSpec, Visibility};
 use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 
-/// Returns the cubes of a job; those of the default parameters if it renders none.
+/// Returns the cubes of a job, or the default cubes if it renders none.
 fn cubes(spec: &JobSpec) -> CubeSpec {
     let sampling = spec.visibility().and_then(Visibility::sampling);
     sampling.map_or_else(

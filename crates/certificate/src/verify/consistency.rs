@@ -5,6 +5,32 @@ use super::{BakedResult, NOT_REACHED, SET_ASIDE};
 /// The methods whose results have certificates.
 const METHODS: [&str; 2] = ["exact", "verified"];
 
+/// Returns the method that the parameters of a result state. A result of another program need not state one.
+fn stated_method(task: &serde_json::Value) -> Option<&str> {
+    let task = task.as_object()?;
+    let exact = task
+        .get("exact")
+        .map(|exact| match exact["effort"].as_str() {
+            Some("bounded") => "verified",
+            _ => "exact",
+        });
+    let other = || {
+        ["aggressive", "portals"]
+            .into_iter()
+            .find(|method| task.contains_key(*method))
+    };
+    exact.or_else(other)
+}
+
+/// Returns the grid that the parameters of an exact result state.
+fn stated_grid(task: &serde_json::Value) -> Option<&serde_json::Value> {
+    let sampling = task["exact"]["sampling"].as_object()?;
+    sampling
+        .values()
+        .map(|sampler| &sampler["grid"])
+        .find(|grid| grid.is_object())
+}
+
 /// Checks method, number of cells, and flags; a message about the first contradiction.
 pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
     let parameters: serde_json::Value = serde_json::from_str(result.parameters())
@@ -13,21 +39,21 @@ pub(super) fn check(result: &dyn BakedResult) -> Result<(), String> {
     if !METHODS.contains(&method) {
         return Err(format!("{method:?} is no method that has certificates"));
     }
-    // A result of another program need not name its method.
-    if parameters["method"].as_str().is_some_and(|m| m != method) {
+    let task = &parameters["spec"]["visibility"];
+    if let Some(stated) = stated_method(task).filter(|stated| *stated != method) {
         return Err(format!(
-            "its method is {method}, and {} in its parameters",
-            parameters["method"]
+            "its method is {method}, and {stated} in its parameters"
         ));
     }
-    if let Some(grid) = parameters["division"]["grid"].as_array() {
-        let cells = grid
+    if let Some(grid) = stated_grid(task) {
+        let sides = ["x", "y", "z"].map(|side| grid[side].as_u64());
+        let cells = sides
             .iter()
-            .try_fold(1u64, |n, side| n.checked_mul(side.as_u64()?));
+            .try_fold(1u64, |n, side| n.checked_mul((*side)?));
         if cells != Some(u64::from(result.cell_count())) {
+            let [x, y, z] = ["x", "y", "z"].map(|side| grid[side].to_string());
             return Err(format!(
-                "its parameters say {} cells, and it has {}",
-                parameters["division"]["grid"],
+                "its parameters say {x}x{y}x{z} cells, and it has {}",
                 result.cell_count()
             ));
         }

@@ -1,7 +1,7 @@
 //! The task of ambient occlusion: receivers, by their digest and their numbers.
 //!
-//! Such a job has no cells. Its tiles are runs of receivers, and where a job counts cells it counts receivers.
-//! All workers give the same bytes, so it needs no tracer.
+//! Such a job has no cells. Its tiles are runs of receivers, and where a job counts cells it counts
+//! receivers. All workers give the same bytes, so it needs no tracer.
 
 use sightline_proto::v1;
 use sightline_viewcells::{CellBox, Plan, UNITS_PER_CELL};
@@ -14,9 +14,9 @@ use crate::receivers::{MOST_BYTES, MOST_LIGHTS, TILE, tiles};
 pub struct Ambient {
     /// BLAKE3 digest of the receivers.
     pub receivers: [u8; 32],
-    /// Their length in bytes.
+    /// The length of the receivers in bytes.
     pub bytes: u64,
-    /// Their number.
+    /// The number of receivers.
     pub points: u32,
     /// Number of the lights.
     pub lights: u32,
@@ -37,8 +37,8 @@ impl Ambient {
         Plan::of_counts(unit, self.counts())
     }
 
-    /// The receivers of each tile, about: a tile has whole blocks, so that it may have some more or less. The
-    /// sum is that of all.
+    /// Returns the approximate number of receivers of each tile: a tile has whole blocks, so that it may have
+    /// some more or less. The sum is exact.
     fn counts(self) -> impl Iterator<Item = u64> {
         (0..tiles(self.points)).map(move |tile| u64::from((self.points - tile * TILE).min(TILE)))
     }

@@ -18,10 +18,10 @@ pub const MOST_LINE_DEPTH: u32 = 12;
 /// Deepest adaptive tree.
 pub const MOST_CUBE_DEPTH: u32 = sightline_viewcells::division::MAX_DEPTH;
 
-/// Most tiles of a grid, about: the scheduler goes through all of them.
+/// Maximum number of tiles of a grid, about: the scheduler goes through all of them.
 const MOST_TILES: u64 = 1 << 16;
 
-/// Most bytes of encoded viewpoints: well below the size of a message.
+/// Maximum length of encoded viewpoints in bytes: well below the size of a message.
 const MOST_BYTES: usize = 1 << 20;
 
 /// A view box with its division into cells.
@@ -68,7 +68,7 @@ impl Cells {
     }
 }
 
-/// Where viewpoints can be.
+/// The places where viewpoints can be.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Viewpoints {
     /// Everywhere in the view box.
@@ -76,7 +76,7 @@ pub enum Viewpoints {
     Everywhere,
     /// In marked parts of the cells.
     Parts(Arc<PartMask>),
-    /// In marked parts of the cells, and there in a region alone. Free segments that begin in the region do
+    /// In marked parts of the cells, and there only in a region. Free segments that begin in the region do
     /// not leave it.
     Region(Arc<PartMask>, Arc<Region>),
 }
@@ -176,7 +176,7 @@ impl GridCells {
         })
     }
 
-    /// Sets the greatest number of cells of a tile.
+    /// Sets the maximum number of cells of a tile.
     ///
     /// # Errors
     /// [`SpecError`] when there would be too many tiles.
@@ -212,7 +212,7 @@ impl GridCells {
         self.cells.marked().unwrap_or_default()
     }
 
-    /// Returns the greatest number of cells of a tile.
+    /// Returns the maximum number of cells of a tile.
     pub fn tile_cells(&self) -> TileCells {
         self.tile_cells
     }
@@ -283,7 +283,7 @@ impl BoxCells {
     }
 }
 
-/// A grid of view cells for visibility cubes. Cubes are at the lattice's points, so they know no region, and
+/// A grid of view cells for visibility cubes. Cubes are at the lattice's points, so they have no region, and
 /// the tiles follow from the grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CubeGrid {
@@ -370,7 +370,7 @@ impl<const DEPTH: u32> Adaptive<DEPTH> {
         &self.cells
     }
 
-    /// Returns the triangle budget and the greatest depth.
+    /// Returns the triangle budget and the maximum depth.
     pub(super) fn limits(&self) -> (u32, u32) {
         match self.cells.division {
             Division::Adaptive { budget, max_depth } => (budget, max_depth),
@@ -399,11 +399,11 @@ pub enum CubeCells {
     Adaptive(Adaptive<MOST_CUBE_DEPTH>),
 }
 
-/// What all kinds of cells have in common.
+/// The properties of all kinds of cells.
 pub(super) trait AnyCells {
     fn cells(&self) -> &Cells;
     fn viewpoints(&self) -> &Viewpoints;
-    /// How the cells are divided into tiles.
+    /// Returns the division of the cells into tiles.
     fn layout(&self) -> Layout;
 }
 
@@ -466,7 +466,8 @@ impl AnyCells for Adaptive<MOST_LINE_DEPTH> {
     }
 }
 
-/// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints are.
+/// Returns the marked parts of a cell that is known before the bake: a bit for each part where viewpoints
+/// are.
 pub(super) fn marks(cells: &Cells, viewpoints: &Viewpoints, cell: &CellBox) -> u64 {
     let number = cells.division.number(&cells.lattice, cell);
     match (viewpoints.mask(), number) {

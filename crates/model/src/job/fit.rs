@@ -1,4 +1,4 @@
-//! The fit of a job to its scene: what a job asks of the triangles.
+//! The fit of a job to its scene.
 
 use glam::Vec3;
 use sightline_numbers::Aabb;
@@ -12,9 +12,9 @@ pub struct SceneFacts {
     pub triangles: u32,
     /// The scene's bounds in world space, which are the view box of a message that has none.
     pub bounds: Option<Aabb>,
-    /// Whether triangles block where their alpha mask says so.
+    /// Whether some triangles have alpha masks.
     pub has_masks: bool,
-    /// Whether triangles are seen from their front sides alone.
+    /// Whether triangles are seen from their front sides only.
     pub is_culled: bool,
 }
 
@@ -32,11 +32,11 @@ impl SceneFacts {
 }
 
 impl JobSpec {
-    /// Checks that a scene has what the job asks of it.
+    /// Checks that a job can be computed for a scene.
     ///
     /// # Errors
-    /// [`SpecError`] for alpha masks and culled faces with methods that decide, and for viewpoints in a region
-    /// of another scene.
+    /// [`SpecError`] for alpha masks and culled faces with methods that decide, and for viewpoints in a
+    /// region of another scene.
     pub fn fits(&self, scene: &SceneFacts) -> Result<(), SpecError> {
         let Task::Visibility(task) = &self.task else {
             return Ok(());
@@ -44,8 +44,8 @@ impl JobSpec {
         if task.is_decided() && scene.has_masks {
             return Err(SpecError::new(
                 "method",
-                "exact queries do not read alpha masks; give aggressive, or --opaque or --see-through for \
-                 the masked triangles",
+                "exact queries do not read alpha textures; leave out --alpha-textures, or give aggressive, \
+                 or give --opaque or --see-through for the masked triangles",
             ));
         }
         if task.is_decided() && scene.is_culled {

@@ -7,10 +7,12 @@ use serde_json::Value as Json;
 use super::JobSpec;
 
 impl JobSpec {
-    /// Returns the message as JSON, defaults written out. Digests are in hexadecimal. Of what may be large,
-    /// viewpoints are named by their digest, and boxes are counted.
+    /// Returns the message as JSON, defaults written out. Digests are in hexadecimal. Viewpoints
+    /// are named by their digest, and boxes are counted, because both may be large. The choice of a backend
+    /// is omitted: a result depends on the profile that was taken, which its info names.
     pub fn to_json(&self) -> Json {
         let mut json = json_of(&self.to_message().encode_to_vec()).unwrap_or(Json::Null);
+        remove_field(&mut json, "backend");
         if let Some(boxes) = find_field_mut(&mut json, "boxes").and_then(Json::as_object_mut) {
             let axes = boxes.remove("axes");
             boxes.remove("planes");
@@ -20,6 +22,15 @@ impl JobSpec {
             boxes.insert("count".to_owned(), count.into());
         }
         json
+    }
+}
+
+fn remove_field(json: &mut Json, name: &str) {
+    if let Some(fields) = json.as_object_mut() {
+        fields.remove(name);
+        fields
+            .values_mut()
+            .for_each(|value| remove_field(value, name));
     }
 }
 

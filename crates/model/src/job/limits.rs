@@ -6,7 +6,7 @@ use super::visibility::{Visibility, count};
 use crate::output::pairs::MOST_PAIR_CELLS;
 use sightline_viewcells::Division;
 
-/// Checks a task against what is built.
+/// Checks a task against the combinations that are built.
 ///
 /// # Errors
 /// [`SpecError`] for the first combination that is not.
@@ -37,7 +37,7 @@ fn certificates(task: &Visibility) -> Result<(), SpecError> {
     }
 }
 
-/// Pairs of cells are told for cells of equal size, of which there are not too many.
+/// Pairs of cells exist for cells of equal size, up to a number of cells.
 fn pairs(task: &Visibility) -> Result<(), SpecError> {
     if task.pairs != CellToCell::On {
         return Ok(());

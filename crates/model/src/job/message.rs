@@ -17,28 +17,13 @@ use super::numbers::{
 };
 use super::sampler::{CubeParams, LineAim, Sampler, Sampling, Stop};
 use super::visibility::{Method, Visibility};
-use super::{Ambient, JobSpec, SpecError, Task, limits};
+use super::{Ambient, FieldValue, JobSpec, SpecError, Task, limits};
 
 /// Cells along each axis where a message has none.
 pub const USUAL_GRID: [u32; 3] = [8; 3];
 
 /// Depth of an adaptive tree where a message has none.
 pub const USUAL_DEPTH: u32 = 12;
-
-/// A value that a field of a message can have.
-pub trait FieldValue: Copy {
-    /// The field's type.
-    type Wire;
-
-    /// Reads the field.
-    ///
-    /// # Errors
-    /// [`SpecError`] for a value outside the range or without a name.
-    fn from_wire(wire: Self::Wire) -> Result<Self, SpecError>;
-
-    /// Returns the field.
-    fn to_wire(self) -> Self::Wire;
-}
 
 /// Reads a field; an absent one has its default.
 fn field<F: FieldValue + Default>(wire: Option<F::Wire>) -> Result<F, SpecError> {

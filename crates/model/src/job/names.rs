@@ -1,14 +1,13 @@
 //! The named values of a job: tracer, method, sampler, superset simplification, error measure.
 //!
 //! Each is defined here once: its variants, their names on the command line and in results, and their numbers
-//! on the wire, which are those of the .proto file. A new variant needs an entry in the .proto file, an entry
+//! on the wire, which the .proto file defines. A new variant needs an entry in the .proto file, an entry
 //! here, and the code that acts on it.
 
 use serde::{Deserialize, Serialize};
 use sightline_proto::v1;
 
-use super::SpecError;
-use super::message::FieldValue;
+use super::{FieldValue, SpecError, UnknownValue};
 
 /// The numerics profile of jobs that need no tracer. Every worker has it, and all give the same bytes.
 pub const NO_PROFILE: &str = "none";
@@ -32,36 +31,16 @@ pub trait NamedValue: Copy + Eq + Send + Sync + 'static {
     /// [`UnknownValue`] when no value has that name.
     fn from_name(name: &str) -> Result<Self, UnknownValue> {
         let found = Self::ALL.iter().copied().find(|c| c.name() == name);
-        found.ok_or_else(|| UnknownValue::new::<Self>(format!("{name:?}")))
+        found.ok_or_else(|| unknown::<Self>(format!("{name:?}")))
     }
 }
 
-/// A name or number that no value of a parameter has.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("this program knows no {parameter} {given}; give {}", one_of(names))]
-pub struct UnknownValue {
-    /// The parameter's name.
-    pub parameter: &'static str,
-    /// The unknown value, as text.
-    pub given: String,
-    /// The names there are.
-    pub names: Vec<&'static str>,
-}
-
-impl UnknownValue {
-    fn new<V: NamedValue>(given: String) -> Self {
-        Self {
-            parameter: V::PARAMETER,
-            given,
-            names: V::ALL.iter().map(|c| c.name()).collect(),
-        }
-    }
-}
-
-fn one_of(names: &[&str]) -> String {
-    match names {
-        [all @ .., last] if !all.is_empty() => format!("{} or {last}", all.join(", ")),
-        names => names.join(", "),
+/// Makes the error of a value that a parameter does not have.
+fn unknown<V: NamedValue>(given: String) -> UnknownValue {
+    UnknownValue {
+        parameter: V::PARAMETER,
+        given,
+        names: V::ALL.iter().map(|c| c.name()).collect(),
     }
 }
 
@@ -116,7 +95,7 @@ macro_rules! on_the_wire {
 
             fn from_wire(wire: i32) -> Result<Self, SpecError> {
                 let found = Self::ALL.iter().copied().find(|c| c.to_wire() == wire);
-                Ok(found.ok_or_else(|| UnknownValue::new::<Self>(format!("number {wire}")))?)
+                Ok(found.ok_or_else(|| unknown::<Self>(format!("number {wire}")))?)
             }
 
             fn to_wire(self) -> i32 {
@@ -156,9 +135,9 @@ named_values! {
 }
 
 named_values! {
-    /// What traces rays and renders cubes.
+    /// The tracer of rays and renderer of cubes.
     TracerChoice("backend") {
-        /// The first worker times every tracer on the scene; the job takes the faster one.
+        /// The first worker times every tracer on the scene; the job uses the faster one.
         Auto = "auto",
         /// A GPU or software rasteriser through wgpu.
         Gpu = "gpu",

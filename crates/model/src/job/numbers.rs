@@ -2,24 +2,7 @@
 //!
 //! A value outside its range cannot be made, so code that takes one of these types checks nothing.
 
-use super::SpecError;
-use super::message::FieldValue;
-
-/// A number outside its range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error(
-    "{option} is {value}, which is not between {least} and {most}; choose a value in that range"
-)]
-pub struct OutOfRange {
-    /// The option's name on the command line, without dashes.
-    pub option: &'static str,
-    /// The value given.
-    pub value: f64,
-    /// Least allowed value.
-    pub least: f64,
-    /// Greatest allowed value.
-    pub most: f64,
-}
+use super::{FieldValue, OutOfRange, SpecError};
 
 /// Defines the numbers: each a type that wraps a primitive one.
 macro_rules! numbers {
@@ -34,9 +17,9 @@ macro_rules! numbers {
         impl $name {
             /// The option's name on the command line, without dashes.
             pub const OPTION: &'static str = $option;
-            /// The least value.
+            /// The minimum.
             pub const LEAST: $type = $least;
-            /// The greatest value.
+            /// The maximum.
             pub const MOST: $type = $most;
 
             /// Checks a value.
@@ -80,9 +63,9 @@ macro_rules! numbers {
 
 numbers! {
     /// The fraction of a cell's sight lines that the cell is expected to miss at most when it is finished. A
-    /// cell that takes several times the work of the average cell has a larger tolerance.
+    /// cell that costs several times the work of the average cell has a larger tolerance.
     TargetError(f64) = "target-error", 1e-6, 1.0, default 1e-4;
-    /// The greatest 95 % bound on a cell's fraction of missed sight lines.
+    /// The maximum 95 % bound on a cell's fraction of missed sight lines.
     MaxError(f64) = "max-error", 1e-5, 1.0;
     /// The share of a cell's sight lines from which on an item is met by a uniform line with a probability of
     /// 95 %.
@@ -93,7 +76,7 @@ numbers! {
     TimeBudget(u64) = "time-budget", 1, 10 * 366 * 24 * 3600 * 1000;
     /// A distance from the viewpoint, in the scene's units.
     Length(f64) = "far", f32::MIN_POSITIVE as f64, f32::MAX as f64;
-    /// The greatest number of grid cells of a tile.
+    /// The maximum number of grid cells of a tile.
     TileCells(u32) = "block-cells", 1, sightline_viewcells::MOST_BLOCK_CELLS,
         default sightline_viewcells::USUAL_BLOCK_CELLS;
     /// The number of triangles visible from a cell of an adaptive tree above which the cell is halved.
@@ -121,8 +104,8 @@ const HEAVY: [(f64, u32); 2] = [(5e10, 64), (5e9, 128)];
 pub const BOUND_AIM: f64 = 0.125;
 
 impl TileCells {
-    /// The cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that sampling
-    /// saves in large tiles is nothing beside that.
+    /// The cells of a tile that are decided exactly. Each takes seconds on real scenes; the time that
+    /// sampling saves in large tiles is nothing compared with that.
     pub const EXACT: Self = Self(8);
 
     /// The cells of a tile that are seen through portals, about a tenth of a second each.

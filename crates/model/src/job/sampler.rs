@@ -1,4 +1,4 @@
-//! How cells are sampled: the sampler with its cells and its parameters.
+//! The sampling of cells: the sampler with its cells and its parameters.
 
 use super::cells::{Adaptive, AnyCells, CubeCells, KnownCells, MOST_LINE_DEPTH};
 use super::names::{ErrorMeasure, SamplerName, SupersetChoice, TracerChoice};
@@ -12,29 +12,30 @@ use super::numbers::{
 pub struct Sampling {
     /// The sampler.
     pub sampler: Sampler,
-    /// What traces and renders.
+    /// The choice of a tracer.
     pub tracer: TracerChoice,
     /// Whether the share of the view that each visible item takes is measured.
     pub contributions: bool,
 }
 
-/// How visibility is sampled.
+/// The sampler of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Sampler {
-    /// Sight lines that are shared by all cells they cross and guided by earlier finds.
+    /// Sight lines that all cells on their way share and that earlier hits guide.
     Lines {
         /// The cells, and when they are finished.
         aim: LineAim,
-        /// When sampling stops with what is found by then.
+        /// The time after which sampling stops.
         time: Option<TimeBudget>,
     },
-    /// A fixed number of guided rays for each cell alone: the baseline of the benchmarks.
+    /// A fixed number of guided rays of each cell, which no other cell shares: the baseline of the
+    /// benchmarks.
     Guided {
         /// The cells.
         cells: KnownCells,
         /// The number of rays of each cell.
         rays: RayCount,
-        /// When sampling stops with what is found by then.
+        /// The time after which sampling stops.
         time: Option<TimeBudget>,
     },
     /// Visibility cubes on adaptively split rectangles (Nirenstein and Blake 2004).
@@ -55,7 +56,7 @@ pub enum LineAim {
         cells: KnownCells,
         /// The expected error at which a cell is finished; it steers the search in all three cases of `stop`.
         error: TargetError,
-        /// What else a finished cell has.
+        /// The second condition of a finished cell.
         stop: Stop,
     },
     /// The cells of an adaptive tree.
@@ -67,7 +68,7 @@ pub enum LineAim {
     },
 }
 
-/// When a cell is finished, beside its expected error.
+/// The condition under which a cell is finished, in addition to its expected error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stop {
     /// At the expected error.
@@ -87,9 +88,9 @@ pub struct CubeParams {
     pub measure: ErrorMeasure,
     /// A rectangle is split while the measure over its exterior cubes exceeds this.
     pub error_threshold: ErrorThreshold,
-    /// The same for its cubes inside closed solids.
+    /// The threshold for cubes inside closed solids.
     pub interior_threshold: InteriorThreshold,
-    /// Which rectangles within a cell are small enough.
+    /// The size from which on a rectangle within a cell is not split.
     pub min_distance: MinDistance,
     /// Whether cubes inside closed solids are judged apart (Nirenstein and Blake 2004, section 3.6).
     pub solids: bool,

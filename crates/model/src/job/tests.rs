@@ -229,6 +229,18 @@ fn json_names_fields_values_and_defaults() {
 }
 
 #[test]
+fn json_is_the_same_for_every_choice_of_a_backend() {
+    let with = |tracer| {
+        let mut sampling = Sampling::new(Sampler::lines(known()));
+        sampling.tracer = tracer;
+        job(Method::aggressive(sampling).into()).to_json()
+    };
+    let unasked = with(TracerChoice::Auto);
+    assert_eq!(unasked, with(TracerChoice::Cpu));
+    assert_eq!(unasked, with(TracerChoice::Gpu));
+}
+
+#[test]
 fn large_parts_are_removed_from_messages() {
     let marked = grid()
         .with_viewpoints(Viewpoints::new(mask([4, 3, 2]), Some(region())))
@@ -368,7 +380,7 @@ fn wrong_values_are_rejected_by_name() {
 }
 
 #[test]
-fn scenes_must_have_what_a_job_asks_of_them() {
+fn job_rejects_scene_that_does_not_fit() {
     let facts = SceneFacts {
         triangles: 9,
         ..SceneFacts::default()

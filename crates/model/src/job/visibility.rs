@@ -1,4 +1,4 @@
-//! The task of visibility: for each view cell, what is visible from it, and by which method that is decided.
+//! The task of visibility: the visible set of each view cell, by one of several methods.
 
 use sightline_numbers::Aabb;
 use sightline_viewcells::{CellBox, Division, Lattice, Plan, USUAL_BLOCK_CELLS};
@@ -8,18 +8,18 @@ use super::names::{CellToCell, Effort, Granularity, MethodName, Up};
 use super::numbers::{Length, TimeBudget};
 use super::sampler::{Sampler, Sampling};
 
-/// Most cells of a job that says which cells see which without being asked: those of a usual tile. With
-/// several tiles, each walks its lines through the whole division once more.
+/// Maximum number of cells with which a job computes pairs of cells by default: the cells of a usual tile.
+/// With several tiles, the lines of each tile cross the whole division once more.
 const FEW_PAIR_CELLS: u64 = USUAL_BLOCK_CELLS as u64;
 
-/// What is computed for the view cells of a scene.
+/// A computation of the visible sets of view cells.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Visibility {
-    /// How visibility is decided.
+    /// The method.
     pub method: Method,
     /// The distance from the viewpoint where sight lines end; `None` for no end.
     pub far: Option<Length>,
-    /// Whether the result says which cells see which.
+    /// Whether the result lists the pairs of cells that see each other.
     pub pairs: CellToCell,
     /// Seed of all random numbers.
     pub seed: u64,
@@ -27,31 +27,31 @@ pub struct Visibility {
     pub up: Option<Up>,
 }
 
-/// How much of a cell's visibility is decided, and by which means.
+/// The method by which visibility is decided.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Method {
-    /// Sampling alone: a triangle in the set was seen; a triangle outside it may be visible.
+    /// Sampling without queries: a triangle in the set was seen; a triangle outside it may be visible.
     Aggressive {
-        /// How cells are sampled.
+        /// The sampling of the cells.
         sampling: Sampling,
-        /// What the sets name.
+        /// The items that the sets list.
         items: Granularity,
     },
     /// Sampling, then exact queries for every triangle that sampling did not show.
     Exact {
-        /// How cells are sampled.
+        /// The sampling of the cells.
         sampling: Sampling,
-        /// How much a single query may take.
+        /// The limits of a single query.
         effort: Effort,
         /// Whether witnesses and certificates are kept.
         certificates: bool,
     },
-    /// No sampling: what is behind walls is hidden, as the portals between the parts of the scene show. A
-    /// triangle without a witness is undecided.
+    /// Portals between the parts of the scene, without sampling. A triangle that no line through portals
+    /// reaches is hidden; a triangle without a witness is undecided.
     Portals {
         /// The cells.
         cells: KnownCells,
-        /// When the work stops with what is decided by then.
+        /// The time after which the work stops.
         time: Option<TimeBudget>,
     },
 }
@@ -162,7 +162,7 @@ impl Visibility {
         }
     }
 
-    /// Returns what the sets name.
+    /// Returns the items that the sets list.
     pub fn items(&self) -> Granularity {
         match self.method {
             Method::Aggressive { items, .. } => items,
@@ -170,7 +170,7 @@ impl Visibility {
         }
     }
 
-    /// Returns true if triangles without a witness are decided, or stand as undecided: with every method but
+    /// Returns true if every triangle is visible with a witness, hidden, or undecided: with every method but
     /// aggressive.
     pub fn is_decided(&self) -> bool {
         !matches!(self.method, Method::Aggressive { .. })
@@ -209,10 +209,10 @@ impl Visibility {
         marks(self.cells(), self.viewpoints(), cell)
     }
 
-    /// Returns the cells over which a tile says which see which: the regular grid over the view box with this
-    /// many cells along each axis, or `None` when the job does not ask. An adaptive tree has a grid of the
-    /// cells of its deepest level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this
-    /// grid, or, with deeper trees, several are in one.
+    /// Returns the grid over whose cells a tile lists pairs: the number of cells of the view box along each
+    /// axis, or `None` for a job without pairs. An adaptive tree has a grid of the cells of its deepest
+    /// level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this grid, or, with deeper
+    /// trees, several are in one.
     pub fn pair_cells(&self) -> Option<[u32; 3]> {
         let few = |sides: &[u32; 3]| count(*sides) <= FEW_PAIR_CELLS;
         match self.pairs {
@@ -222,7 +222,7 @@ impl Visibility {
         }
     }
 
-    /// Returns the grid over which pairs of cells can be told; `None` where they cannot.
+    /// Returns the grid over whose cells pairs can be listed; `None` for boxes and portals.
     pub(super) fn pair_grid(&self) -> Option<[u32; 3]> {
         if let Method::Portals { .. } = self.method {
             return None;

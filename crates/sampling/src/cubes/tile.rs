@@ -36,8 +36,8 @@ pub struct CubeCounters {
     pub cache: CacheCounters,
 }
 
-/// Returns [`CubeParams::min_distance`] in world units. The cells of an adaptive tree are those of its deepest
-/// level.
+/// Returns [`CubeParams::min_distance`] in world units. In an adaptive tree, the cells of the
+/// deepest level count.
 pub fn min_distance(params: &CubeParams, division: &Division, lattice: &Lattice) -> f64 {
     let sides = [0, 1, 2].map(|a| lattice.length(a, lattice.units()[a]));
     let cells = match *division {

@@ -79,7 +79,7 @@ pub(super) struct Cell {
     pub(super) size: Vec3,
     /// Its number in the whole division, for its random numbers.
     pub(super) number: u64,
-    /// Which of its parts hold viewpoints ([`sightline_viewcells::PartMask`]); all bits when all do.
+    /// The marks of its parts that hold viewpoints ([`sightline_viewcells::PartMask`]); all bits when all do.
     pub(super) parts: u64,
 }
 

@@ -131,8 +131,13 @@ impl Bucket {
             },
             e => e,
         })?;
-        // Of each process its own, since several coordinators may start at a time.
-        let key = self.key(&format!("{PROBE}-{:08x}", std::process::id()));
+        // Each process has its own, since several may start at a time, in containers with the same number.
+        let own = getrandom::u64().map_err(|e| {
+            let reason = format!("no random number for a probe: {e}");
+            let place = self.name.clone();
+            BlobError::Unusable { place, reason }
+        })?;
+        let key = self.key(&format!("{PROBE}-{own:016x}"));
         let bytes = Bytes::from_static(b"sightline");
         self.put(&key, bytes.clone())?;
         let mut read = Vec::new();

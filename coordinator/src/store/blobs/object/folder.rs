@@ -1,4 +1,4 @@
-//! Named objects below a prefix of a bucket, for who keeps files there without a store.
+//! Named objects below a prefix of a bucket, without a store.
 
 use bytes::Bytes;
 
@@ -13,7 +13,7 @@ impl ObjectFolder {
     /// Reaches the bucket: writes, reads and deletes one small object.
     ///
     /// # Errors
-    /// [`BlobError`] saying what is wrong with the settings or the store.
+    /// [`BlobError`] for settings or a store that cannot be used.
     pub fn open(place: &BucketPlace) -> Result<Self, BlobError> {
         Bucket::open(place).map(Self)
     }
@@ -40,7 +40,7 @@ impl ObjectFolder {
         }
     }
 
-    /// Returns true if an object is there.
+    /// Returns true if an object exists.
     ///
     /// # Errors
     /// [`BlobError`].
@@ -50,7 +50,7 @@ impl ObjectFolder {
             .map(|length| length.is_some())
     }
 
-    /// Writes an object over whatever is there.
+    /// Writes an object, which replaces an earlier one.
     ///
     /// # Errors
     /// [`BlobError`].

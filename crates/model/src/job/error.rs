@@ -1,0 +1,99 @@
+//! The reasons why a specification is rejected.
+
+use sightline_viewcells::{DivisionError, PartMaskError, RegionError, TreeError};
+
+/// A number outside its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "{option} is {value}, which is not between {least} and {most}; choose a value in that range"
+)]
+pub struct OutOfRange {
+    /// The option's name on the command line, without dashes.
+    pub option: &'static str,
+    /// The value given.
+    pub value: f64,
+    /// Minimum value.
+    pub least: f64,
+    /// Maximum value.
+    pub most: f64,
+}
+
+/// A name or number that no value of a parameter has.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no {parameter} {given}; give {}", one_of(names))]
+pub struct UnknownValue {
+    /// The parameter's name.
+    pub parameter: &'static str,
+    /// The unknown value, as text.
+    pub given: String,
+    /// The names there are.
+    pub names: Vec<&'static str>,
+}
+
+fn one_of(names: &[&str]) -> String {
+    match names {
+        [all @ .., last] if !all.is_empty() => format!("{} or {last}", all.join(", ")),
+        names => names.join(", "),
+    }
+}
+
+/// A reason why a specification is rejected.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SpecError {
+    /// A value is missing, malformed, or does not fit.
+    #[error("the job's {0} cannot be used: {1}")]
+    Value(&'static str, &'static str),
+    /// Two values go together in no job that is built.
+    #[error("{0} cannot be combined with {1} yet; leave one of them out")]
+    Combination(&'static str, &'static str),
+    /// A number is outside its range.
+    #[error(transparent)]
+    Range(#[from] OutOfRange),
+    /// A name or its number is unknown.
+    #[error(transparent)]
+    Name(#[from] UnknownValue),
+    /// The view box cannot be divided.
+    #[error(transparent)]
+    Division(#[from] DivisionError),
+    /// The boxes are not a tree.
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+    /// The marks of viewpoints cannot be read.
+    #[error(transparent)]
+    Viewpoints(#[from] PartMaskError),
+    /// The region of viewpoints cannot be read.
+    #[error(transparent)]
+    Region(#[from] RegionError),
+}
+
+impl SpecError {
+    /// The error of a message that needs the scene's bounds as its view box, where they are not known.
+    pub const NO_VIEW_BOX: Self = Self::new("view-box", "give x0,y0,z0,x1,y1,z1");
+
+    pub(crate) const fn new(option: &'static str, remedy: &'static str) -> Self {
+        Self::Value(option, remedy)
+    }
+
+    pub(crate) const fn combination(option: &'static str, other: &'static str) -> Self {
+        Self::Combination(option, other)
+    }
+
+    /// Returns the name of the option at fault, without dashes, where it is one.
+    pub fn option(&self) -> Option<&'static str> {
+        match self {
+            Self::Value(option, _) | Self::Combination(option, _) => Some(option),
+            Self::Range(e) => Some(e.option),
+            Self::Name(e) => Some(e.parameter),
+            Self::Viewpoints(_) | Self::Region(_) => Some("viewpoints"),
+            Self::Tree(_) => Some("cells"),
+            Self::Division(e) => Some(match e {
+                DivisionError::Box { .. } => "view-box",
+                DivisionError::Cells { .. }
+                | DivisionError::TooFine { .. }
+                | DivisionError::TooThin { .. }
+                | DivisionError::Plane(_) => "cells",
+                DivisionError::Adaptive { .. } => "max-depth",
+            }),
+        }
+    }
+}
