@@ -7,7 +7,7 @@ use crate::blobs::ownership;
 use crate::blobs::references::KeepingError;
 use crate::clock::{Clock, SystemClock};
 use crate::dispatch::run::happened;
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Epoch, JobId};
 use crate::jobs::retention_clock::{Ages, RetentionClock};
 use crate::jobs::retention_stamp;
@@ -277,7 +277,6 @@ fn spot_seed(share: f64) -> Result<u64, StoreError> {
 
 /// Takes back leases whose worker has gone, that were not renewed or make no progress, and tries again what
 /// waited. To be called a few times a second.
-#[must_use]
-pub(crate) fn tick(c: &Coordinator) -> Vec<FollowUp> {
+pub(crate) fn tick(c: &Coordinator) -> FollowUps {
     tell(c, Event::Tick)
 }

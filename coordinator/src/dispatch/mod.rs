@@ -1,38 +1,32 @@
 //! The dispatch of events: passes them and the time to the scheduler under a short lock, sends commands to
 //! workers, and wakes watchers. Effects that block go to the caller as follow-ups.
 
+pub(crate) mod follow_ups;
 pub(crate) mod outbox;
 pub(crate) mod run;
 
 use std::collections::VecDeque;
 
+use crate::dispatch::follow_ups::FollowUp;
+pub(crate) use crate::dispatch::follow_ups::FollowUps;
 use crate::dispatch::outbox::{Outbox, Scheduling};
-use crate::ids::{JobId, Lease, WorkerId};
+use crate::ids::{Lease, WorkerId};
 use crate::scheduler::{
-    Departure, Effect, Event, Introduction, Joined, NameTaken, Note, StoreCommand, WorkerCommand,
+    Departure, Effect, Event, Introduction, Joined, NameTaken, Note, WorkerCommand,
 };
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
 
-/// Work that blocks and must be done after an event.
-#[derive(Debug)]
-pub(crate) enum FollowUp {
-    /// A change of the store.
-    Run(StoreCommand),
-    /// The result of a complete job.
-    Assemble(JobId),
-}
-
-/// Lets a worker join. The caller runs the follow-ups.
+/// Lets a worker join.
 pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
     out: Box<dyn Outbox>,
-) -> (Result<Joined, NameTaken>, Vec<FollowUp>) {
+) -> (Result<Joined, NameTaken>, FollowUps) {
     let name = intro.name.clone();
     let mut out = Some(out);
-    let (mut answer, mut follow_ups) = (Err(NameTaken { name }), Vec::new());
+    let (mut answer, mut follow_ups) = (Err(NameTaken { name }), FollowUps::default());
     let scheduling = &mut *c.lock();
     let effects = scheduling
         .scheduler
@@ -55,9 +49,9 @@ pub(crate) fn join(
     (answer, follow_ups)
 }
 
-/// Lets a worker go. The caller runs the follow-ups.
-pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<FollowUp>) {
-    let (mut departure, mut follow_ups) = (Departure::Lost, Vec::new());
+/// Lets a worker go.
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, FollowUps) {
+    let (mut departure, mut follow_ups) = (Departure::Lost, FollowUps::default());
     let scheduling = &mut *c.lock();
     scheduling.outboxes.remove(&worker);
     let effects = scheduling
@@ -72,10 +66,9 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId) -> (Departure, Vec<Follow
     (departure, follow_ups)
 }
 
-/// Passes an event to the scheduler, without blocking. The caller runs the follow-ups.
-#[must_use]
-pub(crate) fn tell(c: &Coordinator, event: Event) -> Vec<FollowUp> {
-    let mut follow_ups = Vec::new();
+/// Passes an event to the scheduler, without blocking.
+pub(crate) fn tell(c: &Coordinator, event: Event) -> FollowUps {
+    let mut follow_ups = FollowUps::default();
     // Taken before waiting for the lock, for which workers that have returned may be waiting, too.
     let now = c.now_plain();
     if let Event::JobChanged(record) = &event
@@ -97,7 +90,7 @@ fn carry_all(
     c: &Coordinator,
     scheduling: &mut Scheduling,
     effects: Vec<Effect>,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
     answered: &mut dyn FnMut(&mut Scheduling, Effect),
 ) {
     let mut lost = VecDeque::new();
@@ -121,7 +114,7 @@ fn carry(
     c: &Coordinator,
     scheduling: &mut Scheduling,
     effect: Effect,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Option<Event> {
     match effect {
         Effect::Tell(worker, order) => {

@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use sightline_model::PlannedJob;
 
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::follow_ups::FollowUp;
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Digest, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
@@ -21,32 +22,30 @@ use crate::telemetry::events::{Kind, LogEvent};
 
 /// Passes an event to the scheduler and runs its follow-ups. Blocks on the disk.
 pub(crate) fn happened(c: &Arc<Coordinator>, event: Event) {
-    let follow_ups = tell(c, event);
-    run_follow_ups(c, follow_ups);
+    tell(c, event).run(c);
 }
 
-/// Runs follow-ups and their own follow-ups. Blocks on the disk.
-pub(crate) fn run_follow_ups(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
-    let mut open = VecDeque::from(follow_ups);
-    while let Some(follow_up) = open.pop_front() {
-        match follow_up {
-            FollowUp::Run(command) => open.extend(run(c, command)),
-            FollowUp::Assemble(job) => {
-                let c = Arc::clone(c);
-                std::thread::spawn(move || {
-                    let follow_ups = finalize::finish(&c, job);
-                    run_follow_ups(&c, follow_ups);
-                });
+impl FollowUps {
+    /// Runs the follow-ups, and the follow-ups of their outcomes. Blocks on the disk.
+    pub(crate) fn run(self, c: &Arc<Coordinator>) {
+        let mut open = VecDeque::from(self.into_list());
+        while let Some(follow_up) = open.pop_front() {
+            match follow_up {
+                FollowUp::Run(command) => open.extend(run(c, command).into_list()),
+                FollowUp::Assemble(job) => {
+                    let c = Arc::clone(c);
+                    std::thread::spawn(move || finalize::finish(&c, job).run(&c));
+                }
             }
         }
     }
 }
 
 /// Runs a command of the store and passes its outcome to the scheduler.
-fn run(c: &Arc<Coordinator>, command: StoreCommand) -> Vec<FollowUp> {
+fn run(c: &Arc<Coordinator>, command: StoreCommand) -> FollowUps {
     // Until the scheduler has received the outcome.
     let _turn = c.turn();
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     match outcome(c, &command, &mut follow_ups) {
         Ok(Some(event)) => follow_ups.extend(tell(c, event)),
         Ok(None) => {}
@@ -65,7 +64,7 @@ fn run(c: &Arc<Coordinator>, command: StoreCommand) -> Vec<FollowUp> {
 fn outcome(
     c: &Arc<Coordinator>,
     command: &StoreCommand,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Result<Option<Event>, StoreError> {
     let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
     match command {

@@ -1,6 +1,6 @@
 //! Changes of the state of a job: in the store, then in the scheduler. The caller runs the follow-ups.
 
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::JobId;
 use crate::jobs::retention_stamp;
 use crate::scheduler::Event;
@@ -14,7 +14,7 @@ pub(crate) fn turned(
     id: JobId,
     from: &[JobPhase],
     to: JobState,
-) -> Result<Vec<FollowUp>, StoreError> {
+) -> Result<FollowUps, StoreError> {
     let _turn = c.turn();
     let record = c
         .store

@@ -5,8 +5,7 @@ use std::sync::{Arc, PoisonError};
 use sightline_traces::TraceId;
 
 use crate::access::Caller;
-use crate::dispatch::run::run_follow_ups;
-use crate::dispatch::tell;
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Digest, JobId};
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
@@ -284,7 +283,7 @@ pub(crate) fn pause(c: &Arc<Coordinator>, job: JobId, now: bool) -> Result<Summa
     if !now {
         return Ok(paused);
     }
-    run_follow_ups(c, tell(c, Event::Stopped(job)));
+    tell(c, Event::Stopped(job)).run(c);
     c.happened(LogEvent::of_job(
         Kind::Job,
         job,
@@ -324,7 +323,7 @@ pub(crate) fn prioritize(
         ));
         tell(c, Event::JobChanged(Box::new(record)))
     };
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     Ok(summary(c, id)?)
 }
 
@@ -336,14 +335,14 @@ fn turn(
     to: JobState,
 ) -> Result<Summary, JobError> {
     let follow_ups = turned(c, id, from, to)?;
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     Ok(summary(c, id)?)
 }
 
 /// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
 /// that has not ended stays as it is.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     {
         let _turn = c.turn();
         let before = record(c, id)?;
@@ -362,6 +361,6 @@ pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError
             }
         }
     }
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     Ok(summary(c, id)?)
 }

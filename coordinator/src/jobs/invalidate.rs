@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{JobId, TileIndex};
 use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
@@ -53,7 +53,7 @@ pub(crate) fn condemn(
     workers: &[String],
     condemned: Option<(JobId, TileIndex)>,
     reason: &str,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Result<(), StoreError> {
     // The quarantine is recorded last: after a crash before that the worker is only found once more.
     for (job, tiles) in unbelieved(&*c.store, workers, condemned)? {
@@ -150,7 +150,7 @@ fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, 
 pub(crate) fn invalidate(
     c: &Coordinator,
     which: &TileFilter,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Result<BTreeMap<JobId, u32>, StoreError> {
     let jobs = match which.job {
         Some(id) => {
@@ -188,7 +188,7 @@ pub(crate) fn open(
     c: &Coordinator,
     job: JobId,
     tiles: BTreeSet<TileIndex>,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Result<u32, StoreError> {
     let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
     open_again(c, record, tiles, false, follow_ups)
@@ -201,7 +201,7 @@ fn open_again(
     job: JobRecord,
     tiles: BTreeSet<TileIndex>,
     with: bool,
-    follow_ups: &mut Vec<FollowUp>,
+    follow_ups: &mut FollowUps,
 ) -> Result<u32, StoreError> {
     let (id, was) = (job.id, job.state.phase());
     let work = stored_spec::whole(&*c.blobs, &job.spec).map(Arc::new);

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use sightline_model::{PlannedJob, SceneFacts, SpecError};
 use sightline_traces::Begun;
 
-use crate::dispatch::run::run_follow_ups;
-use crate::dispatch::tell;
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Digest, JobId};
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
@@ -182,7 +181,7 @@ pub(crate) fn submit(
         // From now on it is the job that names them.
         c.uploads.forget(owner, &[ambient.receivers]);
     }
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     if !submitted.existing {
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
@@ -203,7 +202,7 @@ pub(crate) fn submit(
         c.spans.planned(id, begun, plan.tiles.len(), *cause);
     }
     drop(turn);
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     Ok(submitted)
 }
 

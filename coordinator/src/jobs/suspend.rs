@@ -7,7 +7,7 @@
 use std::collections::BTreeSet;
 use std::sync::PoisonError;
 
-use crate::dispatch::FollowUp;
+use crate::dispatch::FollowUps;
 use crate::ids::JobId;
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
@@ -16,19 +16,18 @@ use crate::store::{JobPhase, JobRecord, JobState, StoreError};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Pauses the jobs of a scene or of receivers that cannot be read. Workers that have them finish their tiles.
-/// Nothing happens where no job names them. Returns the jobs that wait for them. The caller runs the
-/// follow-ups.
+/// Nothing happens where no job names them. Returns the jobs that wait for them.
 pub(crate) fn lost(
     c: &Coordinator,
     lacks: MissingBlob,
     why: &str,
-) -> Result<(BTreeSet<JobId>, Vec<FollowUp>), StoreError> {
+) -> Result<(BTreeSet<JobId>, FollowUps), StoreError> {
     let _turn = c.lost_turn();
     // Somebody may have sent it since it was found damaged.
     if c.blobs.open_checked(&lacks.digest()).is_ok() {
-        return Ok((BTreeSet::new(), Vec::new()));
+        return Ok((BTreeSet::new(), FollowUps::default()));
     }
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     let list = || c.lost.lock().unwrap_or_else(PoisonError::into_inner);
     for job in c.store.jobs()? {
         let works = matches!(job.state.phase(), JobPhase::Queued | JobPhase::Running);

@@ -10,8 +10,7 @@ use sightline_model::{PlannedJob, Task, codec};
 use sightline_traces::Begun;
 use sightline_viewcells::Tile;
 
-use crate::dispatch::run::run_follow_ups;
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Digest, JobId, Lease, hex};
 use crate::outputs::presigned;
 use crate::quota::Sender;
@@ -219,7 +218,7 @@ pub(crate) fn put(
         }
     };
     c.metrics.commit_took(begun.elapsed());
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     result
 }
 
@@ -294,7 +293,7 @@ fn commit(
     bytes: &[u8],
     staged: Option<&Staged>,
     weight: Weight,
-) -> Result<(Result<(), ResultError>, Vec<FollowUp>), ResultError> {
+) -> Result<(Result<(), ResultError>, FollowUps), ResultError> {
     let begun = Begun::now();
     let &UploadHeader {
         lease,

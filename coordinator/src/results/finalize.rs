@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use sightline_traces::Begun;
 
-use crate::dispatch::{FollowUp, tell};
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
@@ -31,10 +31,10 @@ fn parts(c: &Coordinator, id: JobId) -> Option<AssemblyInput> {
 }
 
 /// Assembles a job's result and ends the job.
-pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<FollowUp> {
+pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
     // Absent when it was cancelled in the meantime.
     let Some(parts) = parts(c, id) else {
-        return Vec::new();
+        return FollowUps::default();
     };
     let begun = Begun::now();
     let aside = |n: u32| matches!(parts.outputs[n as usize], Output::SetAside(_));
@@ -128,17 +128,12 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> Vec<FollowUp> {
 
 /// Something that the result is made from is lost. Outputs are computed again; for its scene or its receivers
 /// the job waits until somebody sends them.
-fn do_without(
-    c: &Coordinator,
-    id: JobId,
-    parts: &AssemblyInput,
-    e: &AssembleError,
-) -> Vec<FollowUp> {
+fn do_without(c: &Coordinator, id: JobId, parts: &AssemblyInput, e: &AssembleError) -> FollowUps {
     if let Some(follow_ups) = compute_again(c, id, &parts.outputs, e) {
         return follow_ups;
     }
     let spec = parts.work.spec();
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     let receivers = spec
         .ambient()
         .map(|ambient| MissingBlob::Receivers(ambient.receivers));
@@ -178,7 +173,7 @@ fn compute_again(
     id: JobId,
     outputs: &[Output],
     e: &AssembleError,
-) -> Option<Vec<FollowUp>> {
+) -> Option<FollowUps> {
     let lost = |output: &Output| {
         let digest = output.digest()?;
         c.blobs
@@ -209,7 +204,7 @@ fn compute_again(
             }
         }
     }
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     let tiles = lost.iter().map(|(tile, _)| *tile).collect();
     // Their dependents were computed from what was there.
     let opened = invalidate::open(c, id, tiles, &mut follow_ups);

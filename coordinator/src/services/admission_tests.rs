@@ -24,7 +24,7 @@ use tonic::{Code, Request, Status};
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
-use crate::dispatch::run::{happened, run_follow_ups};
+use crate::dispatch::run::happened;
 use crate::ids::JobId;
 use crate::jobs::control;
 use crate::kept::SceneQueries;
@@ -526,7 +526,7 @@ fn done(c: &Arc<Coordinator>) -> JobId {
                 continue;
             };
             put(c, &grant, &output(&grant, &[0])).unwrap();
-            run_follow_ups(c, sessions::heard(c, worker, Message::Want(1)));
+            sessions::heard(c, worker, Message::Want(1)).run(c);
         }
         std::thread::sleep(Duration::from_millis(1));
     }

@@ -7,8 +7,8 @@ use tokio::sync::Semaphore;
 use tonic::Status;
 
 use super::status;
-use crate::dispatch::FollowUp;
-use crate::dispatch::run::run_follow_ups;
+use crate::dispatch::FollowUps;
+use crate::dispatch::follow_ups::Waiting;
 use crate::quota::{Turn, Turns};
 use crate::state::Coordinator;
 
@@ -99,19 +99,23 @@ pub(super) async fn large(c: &Coordinator, user: &str, is: bool) -> Result<Optio
 }
 
 /// Runs follow-ups on one of tokio's threads for blocking work; the caller does not wait for them.
-pub(super) fn later(c: &Arc<Coordinator>, follow_ups: Vec<FollowUp>) {
+pub(super) fn later(c: &Arc<Coordinator>, follow_ups: FollowUps) {
     if follow_ups.is_empty() {
         return;
     }
     let c = Arc::clone(c);
     match tokio::runtime::Handle::try_current() {
         Ok(runtime) => {
-            runtime.spawn_blocking(move || run_follow_ups(&c, follow_ups));
+            let waiting = Waiting::new(follow_ups);
+            runtime.spawn_blocking(move || waiting.take().run(&c));
         }
-        // The runtime is going; what was not begun is derived from the store at the next start.
-        Err(_) => tracing::debug!(
-            "the coordinator stops with {} things undone",
-            follow_ups.len()
-        ),
+        // The runtime ends. The next start derives from the store what was not begun.
+        Err(_) => {
+            tracing::debug!(
+                "the coordinator stops with {} follow-ups open",
+                follow_ups.len()
+            );
+            follow_ups.discard();
+        }
     }
 }

@@ -13,7 +13,7 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
-use crate::dispatch::run::run_follow_ups;
+use crate::dispatch::FollowUps;
 use crate::ids::{JobId, TileIndex};
 use crate::jobs::invalidate::{self, TileFilter};
 use crate::jobs::tiles;
@@ -122,12 +122,12 @@ impl v1::farm_server::Farm for FarmService {
             to_ms: to_ms.unwrap_or(u64::MAX),
         };
         blocking(&self.0, move |c| {
-            let mut follow_ups = Vec::new();
+            let mut follow_ups = FollowUps::default();
             let opened = {
                 let _turn = c.turn();
                 invalidate::invalidate(c, &which, &mut follow_ups)
             };
-            run_follow_ups(c, follow_ups);
+            follow_ups.run(c);
             let opened = opened.map_err(|e| status::of_store(&e))?;
             let jobs = opened
                 .into_iter()

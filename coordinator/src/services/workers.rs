@@ -18,8 +18,8 @@ use super::guard::caller;
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
 use super::{crews, status, wire};
+use crate::dispatch::follow_ups::Waiting;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::run_follow_ups;
 use crate::ids::{Digest, JobId, Lease, WorkerId, WorkerIdentity, signature};
 use crate::jobs::suspend;
 use crate::outputs::commit::{self, MAX_LIGHT, Origin, ResultError, UploadHeader, Weight};
@@ -294,7 +294,7 @@ impl WorkersService {
             blocking(&self.0, move |c| {
                 let (_, follow_ups) =
                     suspend::lost(c, lacks, &why).map_err(|e| status::of_store(&e))?;
-                run_follow_ups(c, follow_ups);
+                follow_ups.run(c);
                 Ok(())
             })
             .await?;
@@ -571,8 +571,9 @@ async fn listen(
                 let follow_ups = sessions::heard(c, worker, message);
                 if failure && !follow_ups.is_empty() {
                     // Its next message waits until the failure is on record; nobody else does.
+                    let waiting = Waiting::new(follow_ups);
                     blocking(c, |c| {
-                        run_follow_ups(c, follow_ups);
+                        waiting.take().run(c);
                         Ok(())
                     })
                     .await

@@ -11,7 +11,6 @@ use tokio::sync::mpsc;
 
 use crate::access::{Caller, Scope, Scopes};
 use crate::blobs::references;
-use crate::dispatch::run::run_follow_ups;
 use crate::ids::Digest;
 use crate::jobs::control;
 use crate::jobs::delete;
@@ -112,8 +111,8 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
     assert_eq!((summary.tiles_total, summary.cells_total), (2, 4105));
     let (out, mut orders) = mpsc::channel(64);
     let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
-    run_follow_ups(&c, follow_ups);
-    run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(2)));
+    follow_ups.run(&c);
+    sessions::heard(&c, joined.worker, Message::Want(2)).run(&c);
     let grants = [granted(&mut orders), granted(&mut orders)];
     assert_eq!(grants[0].work.ambient().unwrap().receivers, digest);
     let tile = |points: usize, value| Openness {
@@ -151,13 +150,10 @@ fn a_job_runs_to_its_result_and_a_tile_that_is_given_up_has_no_answers() {
             reason: "test".to_owned(),
             infrastructure: false,
         };
-        run_follow_ups(
-            &c,
-            sessions::heard(&c, joined.worker, Message::Failed(failure)),
-        );
-        run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+        sessions::heard(&c, joined.worker, Message::Failed(failure)).run(&c);
+        sessions::heard(&c, joined.worker, Message::Want(1)).run(&c);
         clock.advance(Duration::from_secs(1));
-        run_follow_ups(&c, lifecycle::tick(&c));
+        lifecycle::tick(&c).run(&c);
         match orders.try_recv() {
             Ok(WorkerCommand::Grant(next)) => grant = *next,
             _ => break,
@@ -201,18 +197,15 @@ fn receivers_that_are_lost_before_the_end_are_waited_for() {
     let id = submit(&c, &of(&c, scene, digest, "")).unwrap().id;
     let (out, mut orders) = mpsc::channel(8);
     let (joined, follow_ups) = sessions::join(&c, worker(), Box::new(out)).unwrap();
-    run_follow_ups(&c, follow_ups);
-    run_follow_ups(&c, sessions::heard(&c, joined.worker, Message::Want(1)));
+    follow_ups.run(&c);
+    sessions::heard(&c, joined.worker, Message::Want(1)).run(&c);
     let grant = granted(&mut orders);
     let progress = Progress {
         lease: grant.lease,
         cells: 1,
         samples: 0,
     };
-    run_follow_ups(
-        &c,
-        sessions::heard(&c, joined.worker, Message::Progress(progress)),
-    );
+    sessions::heard(&c, joined.worker, Message::Progress(progress)).run(&c);
     // The output comes while nothing is assembled; then the coordinator is as after a restart.
     control::pause(&c, id, false).unwrap();
     let tile = Openness {

@@ -18,7 +18,6 @@ use tokio::sync::mpsc;
 
 use crate::clock::ManualClock;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::run_follow_ups;
 use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::control::{self, JobError};
 use crate::jobs::submit::{Submission, SubmitError, submit};
@@ -132,9 +131,9 @@ pub(crate) fn join(c: &Arc<Coordinator>, name: &str) -> (WorkerId, mpsc::Receive
         helps: false,
     };
     let (joined, follow_ups) = sessions::join(c, intro, Box::new(out)).unwrap();
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     let worker = joined.worker;
-    run_follow_ups(c, sessions::heard(c, worker, Message::Want(2)));
+    sessions::heard(c, worker, Message::Want(2)).run(c);
     (worker, orders)
 }
 
@@ -299,9 +298,9 @@ fn a_lease_that_is_not_renewed_goes_to_another_worker() {
     two_tiles(&c, scene);
     let (a, mut orders_a) = join(&c, "a");
     let leases = [granted(&mut orders_a).lease, granted(&mut orders_a).lease];
-    run_follow_ups(&c, sessions::heard(&c, a, Message::Draining));
+    sessions::heard(&c, a, Message::Draining).run(&c);
     clock.advance(Duration::from_secs(11));
-    run_follow_ups(&c, lifecycle::tick(&c));
+    lifecycle::tick(&c).run(&c);
     assert_eq!(
         leases.map(|l| orders_a.try_recv() == Ok(WorkerCommand::Revoke(l))),
         [true, true]

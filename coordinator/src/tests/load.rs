@@ -20,7 +20,6 @@ use tokio::sync::mpsc;
 
 use crate::access::Caller;
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::run::run_follow_ups;
 use crate::dispatch::tell;
 use crate::ids::{JobId, Lease, TileIndex};
 use crate::jobs::control;
@@ -95,17 +94,15 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
         stats: stats.clone(),
     };
     c.store.commit_tile(lease.job, lease.tile, result).unwrap();
-    run_follow_ups(
+    tell(
         c,
-        tell(
-            c,
-            Event::Committed {
-                lease,
-                digest,
-                stats,
-            },
-        ),
-    );
+        Event::Committed {
+            lease,
+            digest,
+            stats,
+        },
+    )
+    .run(c);
 }
 
 #[test]
@@ -151,7 +148,7 @@ fn one_coordinator_with_a_thousand_workers() {
                 tokio::time::sleep(Duration::from_secs(1)).await;
                 let follow_ups = tick(&ticking);
                 let c = Arc::clone(&ticking);
-                tokio::task::spawn_blocking(move || run_follow_ups(&c, follow_ups))
+                tokio::task::spawn_blocking(move || follow_ups.run(&c))
                     .await
                     .unwrap();
             }
@@ -219,7 +216,7 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
         let follow_ups = sessions::heard(c, worker, Message::Want(1));
         if !follow_ups.is_empty() {
             let c = Arc::clone(c);
-            tokio::task::spawn_blocking(move || run_follow_ups(&c, follow_ups))
+            tokio::task::spawn_blocking(move || follow_ups.run(&c))
                 .await
                 .unwrap();
         }
@@ -229,7 +226,7 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
             break;
         };
         latencies.push(at.duration_since(wanted));
-        drop(sessions::heard(
+        sessions::heard(
             c,
             worker,
             Message::Progress(Progress {
@@ -237,7 +234,8 @@ async fn work(c: &Arc<Coordinator>, w: u64, done: &AtomicU64, enough: u64) -> Ve
                 cells: 0,
                 samples: 1,
             }),
-        ));
+        )
+        .discard();
         let put = Arc::clone(c);
         tokio::task::spawn_blocking(move || commit(&put, lease))
             .await

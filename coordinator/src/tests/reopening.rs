@@ -6,8 +6,7 @@ use std::sync::mpsc::channel;
 use std::time::Duration;
 
 use crate::clock::ManualClock;
-use crate::dispatch::run::run_follow_ups;
-use crate::dispatch::tell;
+use crate::dispatch::{FollowUps, tell};
 use crate::ids::{JobId, Lease, TileIndex};
 use crate::jobs::invalidate::{self, TileFilter};
 use crate::jobs::stored_spec;
@@ -41,7 +40,7 @@ fn invalidate(c: &Arc<Coordinator>, job: JobId) {
         to_ms: u64::MAX,
         ..TileFilter::default()
     };
-    let mut follow_ups = Vec::new();
+    let mut follow_ups = FollowUps::default();
     {
         let _turn = c.turn();
         assert_eq!(
@@ -51,7 +50,7 @@ fn invalidate(c: &Arc<Coordinator>, job: JobId) {
             Some(&1)
         );
     }
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
 }
 
 /// What the store and the scheduler have of a tile, which is the same.
@@ -111,7 +110,7 @@ fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     drop(opening);
     let answer = thread.join().unwrap();
     assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
-    run_follow_ups(&c, follow_ups);
+    follow_ups.run(&c);
     assert_eq!([0, 1].map(|tile| is_done(&c, id, tile)), [false, false]);
 }
 
@@ -154,7 +153,7 @@ fn kept(c: &Arc<Coordinator>, held: Vec<Lease>) -> Vec<Lease> {
         helps: false,
     };
     let (joined, follow_ups) = sessions::join(c, intro, Box::new(out)).unwrap();
-    run_follow_ups(c, follow_ups);
+    follow_ups.run(c);
     joined.kept
 }
 

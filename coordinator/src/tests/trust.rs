@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::blobs::references;
 use crate::clock::ManualClock;
-use crate::dispatch::run::run_follow_ups;
+use crate::dispatch::FollowUps;
 use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::control;
 use crate::jobs::invalidate::{self, TileFilter};
@@ -91,7 +91,7 @@ fn work(
         let visible: &[u32] = if lies { &[] } else { &[0] };
         // A result that nobody wants any more is refused.
         drop(put(c, &grant, &output(&grant, visible)));
-        run_follow_ups(c, sessions::heard(c, worker, Message::Want(1)));
+        sessions::heard(c, worker, Message::Want(1)).run(c);
         done += 1;
     }
     done
@@ -116,7 +116,7 @@ fn a_liar_is_found_and_what_it_did_is_computed_again() {
     let mut workers = ["ada", "bob"].map(|name| join(&c, name));
     wait_until("the end", || {
         clock.advance(Duration::from_millis(200));
-        run_follow_ups(&c, lifecycle::tick(&c));
+        lifecycle::tick(&c).run(&c);
         for (worker, orders) in &mut workers {
             work(&c, *worker, orders, false);
         }
@@ -154,12 +154,12 @@ fn what_a_person_does_not_believe_is_computed_again() {
     wait_until("the end", || control::result(&c, id).is_ok());
     let before = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
     let invalidate = |which: TileFilter| {
-        let mut follow_ups = Vec::new();
+        let mut follow_ups = FollowUps::default();
         let opened = {
             let _turn = c.turn();
             invalidate::invalidate(&c, &which, &mut follow_ups).unwrap()
         };
-        run_follow_ups(&c, follow_ups);
+        follow_ups.run(&c);
         opened
     };
     let all = TileFilter {
@@ -176,7 +176,7 @@ fn what_a_person_does_not_believe_is_computed_again() {
         tiles: [TileIndex(2)].into(),
         ..all.clone()
     };
-    let refused = invalidate::invalidate(&c, &far, &mut Vec::new());
+    let refused = invalidate::invalidate(&c, &far, &mut FollowUps::default());
     assert!(
         matches!(refused, Err(StoreError::UnknownTile { tiles: 2, .. })),
         "{refused:?}"
@@ -207,7 +207,7 @@ fn an_output_that_is_lost_before_the_end_is_computed_again() {
     put(&c, &grants[0], &first).unwrap();
     assert!(c.blobs.remove(blake3::hash(&first).as_bytes()).unwrap());
     put(&c, &grants[1], &output(&grants[1], &[])).unwrap();
-    run_follow_ups(&c, sessions::heard(&c, worker, Message::Want(2)));
+    sessions::heard(&c, worker, Message::Want(2)).run(&c);
     wait_until("the tile again", || {
         if let Ok(WorkerCommand::Grant(grant)) = orders.try_recv() {
             assert_eq!(grant.lease.tile, grants[0].lease.tile);
@@ -436,7 +436,7 @@ fn a_worker_that_was_right_later_answers_for_what_was_wrong_before() {
     let mut workers = ["ada", "bob"].map(|name| join(&c, name));
     wait_until("the end", || {
         clock.advance(Duration::from_millis(200));
-        run_follow_ups(&c, lifecycle::tick(&c));
+        lifecycle::tick(&c).run(&c);
         for (worker, orders) in &mut workers {
             work(&c, *worker, orders, false);
         }

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::{self, FollowUp, tell};
+use crate::dispatch::{self, FollowUps, tell};
 use crate::ids::{JobId, Lease, WorkerId};
 use crate::scheduler::{
     Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
@@ -41,7 +41,7 @@ pub(crate) fn join(
     c: &Coordinator,
     intro: Introduction,
     out: Box<dyn Outbox>,
-) -> Result<(Joined, Vec<FollowUp>), NameTaken> {
+) -> Result<(Joined, FollowUps), NameTaken> {
     let joining = format!(
         "worker {} has joined, with {}",
         intro.name,
@@ -57,7 +57,7 @@ pub(crate) fn join(
 }
 
 /// Removes a worker whose stream has ended.
-pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<FollowUp> {
+pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> FollowUps {
     let (departure, follow_ups) = dispatch::leave(c, worker);
     let text = match departure {
         Departure::Drained => format!("worker {name} has drained and left"),
@@ -73,11 +73,7 @@ pub(crate) fn leave(c: &Coordinator, worker: WorkerId, name: &str) -> Vec<Follow
 pub(crate) fn lead(
     c: &Coordinator,
     lease: Lease,
-) -> Option<(
-    Arc<CrewChannel>,
-    mpsc::Receiver<LeaderMessage>,
-    Vec<FollowUp>,
-)> {
+) -> Option<(Arc<CrewChannel>, mpsc::Receiver<LeaderMessage>, FollowUps)> {
     // Reads a file, before anybody has to wait.
     let outcomes = c.crews.outcomes.count((lease.job, lease.tile));
     // The machine hears of crews in the order in which they open and close.
@@ -98,20 +94,18 @@ pub(crate) fn lead(
 }
 
 /// A crew has ended: its leader has no use for helpers any more.
-#[must_use]
-pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<CrewChannel>) -> Vec<FollowUp> {
+pub(crate) fn crew_ended(c: &Coordinator, room: &Arc<CrewChannel>) -> FollowUps {
     let _turn = c.crews.turn();
     // The same leader may have opened another crew meanwhile.
     if c.crews.close(room) {
         tell(c, Event::CrewClosed(room.lease))
     } else {
-        Vec::new()
+        FollowUps::default()
     }
 }
 
 /// Acts on a message of a worker.
-#[must_use]
-pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> Vec<FollowUp> {
+pub(crate) fn heard(c: &Coordinator, worker: WorkerId, message: Message) -> FollowUps {
     tell(
         c,
         match message {

@@ -1,9 +1,9 @@
 //! The outputs of a job's tiles, checked and joined to a result.
 //!
 //! A tile's output is checked against its job's plan ([`check()`]). When all exist, [`write()`] joins them to
-//! a `.pvs` file, and [`openness::write`] joins the outputs of a job of ambient occlusion. A tile that cannot be computed
-//! gets a [`placeholder()`]. The bytes depend only on the job and the outputs. The crate depends on no
-//! tracer, no store and no network: its users implement [`Outputs`].
+//! a `.pvs` file, and [`openness::write`] joins the outputs of a job of ambient occlusion. A tile that cannot
+//! be computed gets a [`placeholder()`]. The bytes depend only on the job and the outputs. The crate depends
+//! on no tracer, no store and no network: its users implement [`Outputs`].
 
 mod assembly;
 pub mod check;

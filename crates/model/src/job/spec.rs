@@ -65,7 +65,7 @@ impl JobSpec {
     }
 
     /// Returns the choice of a tracer; `None` for a job that needs none and runs on
-    /// [`NO_PROFILE`](names::NO_PROFILE).
+    /// [`NO_PROFILE`](super::names::NO_PROFILE).
     pub fn tracer(&self) -> Option<TracerChoice> {
         let sampling = self.visibility().and_then(Visibility::sampling);
         sampling.map(|sampling| sampling.tracer)

@@ -1,13 +1,13 @@
 //! Which cells see which, as far as one tile shows: symmetric relations over the cells of the whole division.
 //!
-//! Cells are numbered by [`JobSpec::pair_cells`]: those of a grid by their index, x fastest, then y, then z.
-//! A pair of cells is in the relation *seen* when a line of the tile crossed both before anything blocked it,
-//! and in the relation *hidden* when it was proved that no such line exists.
+//! Cells are numbered by [`Visibility::pair_cells`]: those of a grid by their index, x fastest, then y, then
+//! z. A pair of cells is in the relation *seen* when a line of the tile crossed both before anything blocked
+//! it, and in the relation *hidden* when it was proved that no such line exists.
 //!
 //! The crate `sightline_pvs` has the relation of a result in a type of its own, because it depends on no
 //! other crate of the project.
 //!
-//! [`JobSpec::pair_cells`]: crate::JobSpec::pair_cells
+//! [`Visibility::pair_cells`]: crate::Visibility::pair_cells
 
 /// Most cells of a job whose result says which cells see which: a table takes cells² / 8 bytes.
 pub const MOST_PAIR_CELLS: u64 = 1 << 15;
