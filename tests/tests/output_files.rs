@@ -13,9 +13,15 @@ const BAKE: &str =
     "bake maze.glb --cells 2x1x2 --target-error 0.1 --backend cpu --data-dir data -o maze.pvs";
 
 /// Command lines, each with the files that the command writes.
-const WRITERS: [(&str, &[&str]); 15] = [
+const WRITERS: [(&str, &[&str]); 18] = [
     (MAZE, &["maze.glb"]),
     (BAKE, &["maze.pvs"]),
+    (
+        "plan maze.glb --cells 2x1x2 --target-error 0.1 --backend cpu -o plan",
+        &["plan/job.bin", "plan/scene.bin", "plan/plan.json"],
+    ),
+    ("tile plan 0", &["plan/tiles/0.tile"]),
+    ("assemble plan -o tiles.pvs", &["tiles.pvs"]),
     ("mesh maze.glb -o maze.ply", &["maze.ply"]),
     (
         "export maze.pvs --format sidecar -o maze.json",
