@@ -467,3 +467,29 @@ fn ci_program_sets_ci() {
         );
     }
 }
+
+#[test]
+fn paths_in_the_documents_exist() {
+    let root = root();
+    let mut found = 0;
+    let mut absent = Vec::new();
+    for document in ["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"] {
+        let text = std::fs::read_to_string(root.join(document)).unwrap();
+        for path in text.split('`').skip(1).step_by(2) {
+            let plain = |c: char| c.is_ascii_alphanumeric() || "_-./".contains(c);
+            let folder = path.split_once('/').map_or("", |(folder, _)| folder);
+            // Results and build folders are not in the repository.
+            let is_ours = root.join(folder).join("Cargo.toml").is_file()
+                || ["crates", "deploy", "docs", "scripts"].contains(&folder);
+            if folder.is_empty() || !is_ours || !path.chars().all(plain) {
+                continue;
+            }
+            found += 1;
+            if !root.join(path).exists() {
+                absent.push(format!("{document}: {path}"));
+            }
+        }
+    }
+    assert!(found > 100, "{found} paths");
+    assert!(absent.is_empty(), "{absent:#?}");
+}
