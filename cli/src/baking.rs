@@ -64,7 +64,7 @@ pub fn bake(
 ) -> Result<Outcome, CliError> {
     let start = Instant::now();
     serve::use_threads(threads(None))?;
-    // A job without a tracer is worked on by whoever has some.
+    // A job that needs no tracer runs with any backend, or with none.
     let choice = match backends::choice(args.job.backend.0.unwrap_or(TracerChoice::Auto)) {
         TracerSelection::Auto => TracerSelection::Fast,
         choice => choice,

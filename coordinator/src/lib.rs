@@ -1,4 +1,4 @@
-//! The coordinator: takes scenes and jobs, divides jobs into tiles, leases tiles to workers, stores their
+//! The coordinator: accepts scenes and jobs, divides jobs into tiles, leases tiles to workers, stores their
 //! outputs and assembles the results.
 //!
 //! Invariants: an acknowledged change is durable; a tile's first result stays; totals are derived from the

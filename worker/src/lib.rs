@@ -1,7 +1,7 @@
 //! A worker: leases tiles from a coordinator, computes them, and streams the results back.
 //!
-//! A worker stores nothing on disk and decides nothing: the coordinator plans tiles, assigns them and
-//! assembles their results. Killing a worker at any moment loses the work on its tiles and changes no result.
+//! A worker stores nothing on disk. The coordinator plans tiles, assigns them and assembles their
+//! results. Killing a worker at any moment loses the work on its tiles and changes no result.
 //!
 //! ```no_run
 //! use std::sync::Arc;

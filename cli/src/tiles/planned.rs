@@ -187,7 +187,7 @@ impl PlannedBake {
         }
     }
 
-    /// Returns the digest of what the bytes of its tiles depend on: the job's key and the numerics profile.
+    /// Returns the digest of the job's key and the numerics profile, which decide the bytes of its tiles.
     pub fn identity(&self) -> [u8; 32] {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&self.job.key());

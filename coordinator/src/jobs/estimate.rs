@@ -152,7 +152,7 @@ fn finished(
     Ok(jobs)
 }
 
-/// What jobs must have in common so that the time of one tells something about the other.
+/// The properties that two jobs share if the time of one predicts the time of the other.
 #[derive(PartialEq)]
 struct JobKind {
     /// The method and the sampler; `None` for ambient occlusion.

@@ -183,7 +183,7 @@ fn tile_of(work: &PlannedJob, lease: Lease) -> Result<&Tile, ResultError> {
     tile.ok_or(ResultError::NoTile)
 }
 
-/// Returns the numbers of what a job's scene has.
+/// Returns the numbers of triangles and of objects in a job's scene.
 fn scene_size(c: &Coordinator, work: &PlannedJob) -> Result<SceneSize, ResultError> {
     let record = c.store.scene(&work.spec().scene)?;
     Ok(record.map_or_else(SceneSize::default, |record| SceneSize {

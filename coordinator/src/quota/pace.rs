@@ -51,7 +51,7 @@ impl Drop for Permit {
 }
 
 impl RateLimiter {
-    /// Begins a call of a user, of nobody if the name is empty. Only users have quotas.
+    /// Begins a call of a user, or of an anonymous caller if the name is empty. Only users have quotas.
     ///
     /// # Errors
     /// [`LimitExceeded`] when there are too many.

@@ -49,7 +49,7 @@ impl Usage {
         }
     }
 
-    /// Whether a user may have this.
+    /// Checks the quota of a user.
     ///
     /// # Errors
     /// [`LimitExceeded::Quota`] with the first thing that is too much.

@@ -315,13 +315,13 @@ impl Scheduler {
         if t.not_before.is_some_and(|until| until <= now.ms) {
             t.not_before = None;
             if t.missing > 0 && self.paused_until.is_some() {
-                // The store refuses commands for now.
+                // The store rejects commands for now.
                 self.back_off(id, tile, now);
                 return;
             }
             job.look_at(tile);
             self.list_job(id);
-            // The store may have refused the command that sets it aside.
+            // The store may have rejected the command that sets it aside.
             self.set_orphan_aside(id, tile);
         }
     }

@@ -1,7 +1,7 @@
 //! A job that has not ended: its tiles, which of them are ready, and its totals.
 //!
-//! The totals are kept beside the tiles and changed with them; `invariants.rs` counts them again. Nothing
-//! here knows of workers.
+//! The job has totals in addition to its tiles, and changes both together; `invariants.rs` counts them again.
+//! Nothing here knows of workers.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};

@@ -86,7 +86,7 @@ pub(crate) enum WorkerCommand {
     Time {
         /// The job.
         job: JobId,
-        /// What it computes.
+        /// The planned job.
         work: Arc<PlannedJob>,
     },
 }
@@ -96,7 +96,7 @@ pub(crate) enum WorkerCommand {
 pub(crate) struct Grant {
     /// The tile and its lease.
     pub(crate) lease: Lease,
-    /// What the job computes.
+    /// The planned job.
     pub(crate) work: Arc<PlannedJob>,
     /// The numerics profile that the tile must be computed with.
     pub(crate) profile: String,
@@ -112,7 +112,7 @@ pub(crate) struct Grant {
 pub(crate) struct Help {
     /// The leader's lease.
     pub(crate) lease: Lease,
-    /// What the job computes.
+    /// The planned job.
     pub(crate) work: Arc<PlannedJob>,
     /// The numerics profile of the job.
     pub(crate) profile: String,

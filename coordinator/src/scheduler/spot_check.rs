@@ -1,4 +1,4 @@
-//! A tile that is to be computed again, and what was computed for it. `spot_checks.rs` says how that goes.
+//! A tile that another worker must compute again, and its answers so far. `spot_checks.rs` has the procedure.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -1,13 +1,14 @@
-//! Spot checks: a share of the tiles is computed again by another worker, and where the bytes differ a third
-//! one says who was wrong.
+//! Spot checks: another worker computes a share of the tiles again. Where the bytes differ, a third worker
+//! decides which answer was wrong.
 //!
-//! A tile is drawn when it is done, and its job does not end before it was checked. A check is a lease on a
-//! done tile, without helpers; its output is compared and not kept. Whoever has helped with the tile checks
-//! it only if nobody else is there. When two answers differ, all who had a
-//! hand in either are suspects, and get nothing but checks of other tiles until the same answer has come
-//! twice. Then the others are quarantined: which of them was wrong, the bytes do not say. What they did since
-//! they were last right is computed again; that is a [`StoreCommand`]. A job without another
-//! worker goes on unchecked after a while, and says so; one with two different answers waits.
+//! The scheduler draws a tile when it is done, and its job does not end before the check. A check is a lease
+//! on a done tile, without helpers; the coordinator compares its output and does not keep it. A helper of the
+//! tile checks it only if there is no other worker. When two answers differ, all workers that contributed to
+//! either are suspects, and get only checks of other tiles until the same answer has come twice. Then the
+//! scheduler quarantines the workers of the other answer, because the bytes do not show which of them was
+//! wrong. Their work since their last right answer is computed again; that is a [`StoreCommand`]. A job
+//! without another worker goes on unchecked after a while, and its log states that. A job with two different
+//! answers waits.
 
 use std::collections::BTreeSet;
 

@@ -33,7 +33,7 @@ const STALLED: u64 = 3000;
 /// After a standstill leases end at the earliest after this time, so that reports that wait are read first.
 const AFTER_STALL: u64 = 3000;
 
-/// How the scheduler is set up.
+/// The settings of the scheduler.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     /// This start of the coordinator.

@@ -109,7 +109,7 @@ pub(super) fn later(c: &Arc<Coordinator>, follow_ups: FollowUps) {
             let waiting = Waiting::new(follow_ups);
             runtime.spawn_blocking(move || waiting.take().run(&c));
         }
-        // The runtime ends. The next start derives from the store what was not begun.
+        // The runtime ends. The next start derives the tasks that did not begin from the store.
         Err(_) => {
             tracing::debug!(
                 "the coordinator stops with {} follow-ups open",

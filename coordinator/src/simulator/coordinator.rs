@@ -114,7 +114,7 @@ impl World {
         }
     }
 
-    /// An output has arrived: it is checked, and committed without the scheduler, as in a coordinator.
+    /// Checks an output that arrives and commits it without the scheduler, as a coordinator does.
     pub(super) fn arrives(&mut self, w: usize, life: u64, lease: Lease) -> Result<(), String> {
         let Some(scheduler) = &self.scheduler else {
             self.after(1000, Happening::Deliver(w, life, lease.id));

@@ -78,7 +78,7 @@ fn many_schedules() {
     );
 }
 
-/// What the scheduler or the rules got wrong before, each under the number of the schedule that showed it.
+/// Errors that the scheduler or the rules had, each with the number of the schedule that showed it.
 #[test]
 fn schedules_that_failed() {
     // A job that was paused and resumed was queued, and a worker that came back for a lease made it have

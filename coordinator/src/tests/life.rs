@@ -337,7 +337,7 @@ fn a_job_of_another_version_is_not_retried() {
     assert_eq!(c.store.job(id).unwrap().unwrap().state, failed);
 }
 
-/// Returns the grid of cells of the unit cube that tests use, in tiles of at most so many cells.
+/// Returns the grid of cells of the unit cube that tests use, in tiles of at most `tile_cells` cells.
 pub(crate) fn grid(cells: [u32; 3], tile_cells: u32) -> GridCells {
     let view = Aabb::new(Vec3::ZERO, Vec3::ONE);
     let tile_cells = TileCells::new(tile_cells).unwrap();

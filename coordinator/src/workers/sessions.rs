@@ -1,7 +1,7 @@
 //! Worker sessions: joining, the messages of a connected worker, leaving.
 //!
-//! Messages are handled where they arrive: the scheduler's lock is short, and what blocks is left to the
-//! caller as follow-ups.
+//! Messages are handled where they arrive: the scheduler's lock is short, and the caller gets all
+//! work that blocks as follow-ups.
 
 use std::sync::Arc;
 

@@ -19,8 +19,8 @@ const _: () = assert!(
 /// more cells fewer triangles are hidden from the box.
 pub const GROUP_CELLS: RangeInclusive<usize> = 4..=8;
 
-/// Limits of a single query with [`Effort::Bounded`]: far above what nearly all queries take, far below what
-/// the hardest take.
+/// Limits of a single query with [`Effort::Bounded`]: far above the cost of nearly all queries, and far
+/// below the cost of the hardest queries.
 const BOUNDED: Limits = Limits {
     regions: 1000,
     vectors: 100_000,

@@ -3,7 +3,7 @@
 //! The coordinator, the workers and the clients agree on a job through this crate. [`job`] has the checked
 //! specification of a job with its key and its plan. [`output`] has the outputs of tiles with their bytes,
 //! and the statistics of cells as named columns. [`ambient`] has the receivers and the answers of a job of
-//! ambient occlusion. The crate samples nothing and decides nothing, and depends on no tracer and no network.
+//! ambient occlusion. The crate does not sample, and depends on no tracer and no network.
 //!
 //! ```
 //! use glam::Vec3;

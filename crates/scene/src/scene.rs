@@ -23,7 +23,7 @@ pub struct Triangle {
 }
 
 impl Triangle {
-    /// Whether the triangle has no area: two vertices equal, or all three on one line, decided exactly.
+    /// Returns true if the triangle has no area: two vertices equal, or all three on one line. Exact.
     ///
     /// Differences of `f32` coordinates are exact in `f64` only when their exponents are close, so
     /// [`sightline_geometry::predicates`] decides with expansion arithmetic when its filter cannot.

@@ -1,10 +1,10 @@
-//! Which cells see which, as far as one tile shows: symmetric relations over the cells of the whole division.
+//! The pairs of cells that see each other, from one tile: symmetric relations over all cells of the division.
 //!
-//! Cells are numbered by [`Visibility::pair_cells`]: those of a grid by their index, x fastest, then y, then
-//! z. A pair of cells is in the relation *seen* when a line of the tile crossed both before anything blocked
-//! it, and in the relation *hidden* when it was proved that no such line exists.
+//! Cells are numbered by [`Visibility::pair_cells`]: the cells of a grid by their index, x fastest, then y,
+//! then z. A pair of cells is in the relation *seen* when a line of the tile crossed both before anything
+//! blocked it, and in the relation *hidden* when it was proved that no such line exists.
 //!
-//! The crate `sightline_pvs` has the relation of a result in a type of its own, because it depends on no
+//! The crate `sightline_pvs` has the relation of a result in another type, because it depends on no
 //! other crate of the project.
 //!
 //! [`Visibility::pair_cells`]: crate::Visibility::pair_cells
