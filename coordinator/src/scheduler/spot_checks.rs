@@ -7,8 +7,8 @@
 //! either are suspects, and get only checks of other tiles until the same answer has come twice. Then the
 //! scheduler quarantines the workers of the other answer, because the bytes do not show which of them was
 //! wrong. Their work since their last right answer is computed again; that is a [`StoreCommand`]. A job
-//! without another worker goes on unchecked after a while, and its log states that. A job with two different
-//! answers waits.
+//! without another worker continues unchecked after a while, and its log states that. A job with two
+//! different answers waits.
 
 use std::collections::BTreeSet;
 

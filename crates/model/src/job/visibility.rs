@@ -209,7 +209,7 @@ impl Visibility {
         marks(self.cells(), self.viewpoints(), cell)
     }
 
-    /// Returns the grid over whose cells a tile lists pairs: the number of cells of the view box along each
+    /// Returns the grid of the pairs in the list of a tile: the number of cells of the view box along each
     /// axis, or `None` for a job without pairs. An adaptive tree has a grid of the cells of its deepest
     /// level, at most [`MOST_LINE_DEPTH`]; each of its cells holds whole cells of this grid, or, with deeper
     /// trees, several are in one.
