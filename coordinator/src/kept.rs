@@ -20,7 +20,7 @@ pub trait SceneQueries: Send + Sync {
         pvs: &Pvs,
         scene: Scene,
         cell_and_triangle: (u32, u32),
-        is_gone: &dyn Fn() -> bool,
+        is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::WhyResponse, String>;
 
     /// Counts the wrong pixels from the given number of viewpoints. Stops when the asker `is_gone`.
@@ -32,7 +32,7 @@ pub trait SceneQueries: Send + Sync {
         pvs: &Pvs,
         scene: Scene,
         asked: &v1::MeasureRequest,
-        is_gone: &dyn Fn() -> bool,
+        is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::MeasureResponse, String>;
 }
 

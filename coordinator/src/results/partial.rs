@@ -40,7 +40,7 @@ pub(crate) enum PartialError {
 /// A file in memory whose writing ends when the caller has gone.
 struct WhileAsked<'a> {
     bytes: Vec<u8>,
-    is_gone: &'a dyn Fn() -> bool,
+    is_gone: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl Write for WhileAsked<'_> {
@@ -61,7 +61,7 @@ impl Write for WhileAsked<'_> {
 pub(crate) fn so_far(
     c: &Coordinator,
     id: JobId,
-    is_gone: &dyn Fn() -> bool,
+    is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<Arc<[u8]>, PartialError> {
     let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
     if let JobState::Done { result, .. } = record.state {

@@ -146,7 +146,7 @@ pub(crate) fn query(
 pub(crate) fn why(
     c: &Coordinator,
     asked: &v1::WhyRequest,
-    is_gone: &dyn Fn() -> bool,
+    is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<v1::WhyResponse, AskError> {
     use v1::why_request::From;
     let pvs = open(c, JobId(asked.job))?;
@@ -171,7 +171,7 @@ pub(crate) fn why(
 pub(crate) fn measure(
     c: &Coordinator,
     asked: &v1::MeasureRequest,
-    is_gone: &dyn Fn() -> bool,
+    is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<v1::MeasureResponse, AskError> {
     let usual = |n: u32, usual: u32| if n == 0 { usual } else { n };
     let asked = v1::MeasureRequest {

@@ -482,7 +482,7 @@ struct Endless {
 }
 
 impl Endless {
-    fn ask<T>(&self, is_gone: &dyn Fn() -> bool) -> Result<T, String> {
+    fn ask<T>(&self, is_gone: &(dyn Fn() -> bool + Sync)) -> Result<T, String> {
         let number = self.count.fetch_add(1, Ordering::Relaxed);
         self.begun.lock().unwrap().send(number).unwrap();
         let began = Instant::now();
@@ -499,7 +499,7 @@ impl SceneQueries for Endless {
         _: &Pvs,
         _: Scene,
         _: (u32, u32),
-        is_gone: &dyn Fn() -> bool,
+        is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::WhyResponse, String> {
         self.ask(is_gone)
     }
@@ -509,7 +509,7 @@ impl SceneQueries for Endless {
         _: &Pvs,
         _: Scene,
         _: &v1::MeasureRequest,
-        is_gone: &dyn Fn() -> bool,
+        is_gone: &(dyn Fn() -> bool + Sync),
     ) -> Result<v1::MeasureResponse, String> {
         self.ask(is_gone)
     }

@@ -68,7 +68,9 @@ pub(super) async fn in_turn<T: Send + 'static>(
     c: &Arc<Coordinator>,
     turns: &Turns,
     user: &str,
-    answer: impl FnOnce(&Arc<Coordinator>, &dyn Fn() -> bool) -> Result<T, Status> + Send + 'static,
+    answer: impl FnOnce(&Arc<Coordinator>, &(dyn Fn() -> bool + Sync)) -> Result<T, Status>
+    + Send
+    + 'static,
 ) -> Result<T, Status> {
     let turn = turns.take(user).await.map_err(|beyond| {
         c.metrics.refused(beyond.name());

@@ -473,7 +473,7 @@ pub(super) async fn so_far(
     {
         Some(result) => stream_blob(c, result).await,
         None => {
-            let made = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
+            let made = move |c: &Arc<Coordinator>, is_gone: &(dyn Fn() -> bool + Sync)| {
                 partial::so_far(c, id, is_gone).map_err(|e| status::of_partial(&e))
             };
             let bytes = in_turn(c, &c.questions, user, made).await?;

@@ -17,7 +17,7 @@ pub(crate) struct ResultsService(pub(crate) Arc<Coordinator>);
 type Answer<T> = Result<Response<T>, Status>;
 
 /// A question that needs the scene, and stops when its last argument returns true.
-type Question<Q, A> = fn(&Coordinator, &Q, &dyn Fn() -> bool) -> Result<A, AskError>;
+type Question<Q, A> = fn(&Coordinator, &Q, &(dyn Fn() -> bool + Sync)) -> Result<A, AskError>;
 
 #[tonic::async_trait]
 impl v1::results_server::Results for ResultsService {
@@ -25,7 +25,7 @@ impl v1::results_server::Results for ResultsService {
         own_job(&self.0, &r, r.get_ref().job).await?;
         let user = caller(&self.0, &r)?;
         let asked = r.into_inner();
-        let answer = move |c: &Arc<Coordinator>, _: &dyn Fn() -> bool| {
+        let answer = move |c: &Arc<Coordinator>, _: &(dyn Fn() -> bool + Sync)| {
             queries::query(c, &asked)
                 .map(Response::new)
                 .map_err(|e| status::of_ask(&e))
@@ -53,7 +53,7 @@ impl ResultsService {
     ) -> Answer<A> {
         let user = caller(&self.0, &r)?;
         let asked = r.into_inner();
-        let answer = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
+        let answer = move |c: &Arc<Coordinator>, is_gone: &(dyn Fn() -> bool + Sync)| {
             answer(c, &asked, is_gone)
                 .map(Response::new)
                 .map_err(|e| status::of_ask(&e))

@@ -172,7 +172,7 @@ pub(super) async fn view(
     };
     let attribute = nonce.attribute();
     let caller = caller.map_or(Caller::Nobody, |Extension(caller)| caller);
-    let made = move |c: &Arc<Coordinator>, is_gone: &dyn Fn() -> bool| {
+    let made = move |c: &Arc<Coordinator>, is_gone: &(dyn Fn() -> bool + Sync)| {
         page_of(c, JobId(job), attribute, is_gone)
     };
     match in_turn(c, &c.questions, caller.owner(), made).await {
@@ -192,7 +192,7 @@ fn page_of(
     c: &Coordinator,
     id: JobId,
     nonce: String,
-    is_gone: &dyn Fn() -> bool,
+    is_gone: &(dyn Fn() -> bool + Sync),
 ) -> Result<String, Status> {
     let broken = |e: &dyn std::fmt::Display| status::internal(&e.to_string());
     let (record, scene) = queries::scene(c, id).map_err(|e| status::of_ask(&e))?;

@@ -4,7 +4,8 @@
 //! on the wire, which the .proto file defines. A new variant needs an entry in the .proto file, an entry
 //! here, and the code that acts on it.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sightline_proto::v1;
 
 use super::{FieldValue, SpecError, UnknownValue};
@@ -54,8 +55,7 @@ macro_rules! named_values {
         default $standard:ident
     ) => {
         $(#[$about])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-        #[serde(rename_all = "snake_case")]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum $choice {
             $( $(#[doc = $line])+ $variant ),+
         }
@@ -76,6 +76,18 @@ macro_rules! named_values {
 
             fn about(self) -> &'static str {
                 match self { $(Self::$variant => concat!($($line),+).trim_ascii()),+ }
+            }
+        }
+
+        impl Serialize for $choice {
+            fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+                to.serialize_str(self.name())
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $choice {
+            fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+                Self::from_name(&String::deserialize(from)?).map_err(D::Error::custom)
             }
         }
 
