@@ -2,7 +2,8 @@
 
 use pyo3::exceptions::PyIndexError;
 use pyo3::prelude::*;
-use sightline_cli::calls::CliError;
+use serde::de::DeserializeOwned;
+use sightline::{Error as LibraryError, ErrorKind};
 use sightline_pvs::PvsError;
 
 pyo3::import_exception!(sightline._errors, SightlineError);
@@ -12,7 +13,7 @@ pyo3::import_exception!(sightline._errors, Error);
 pyo3::import_exception!(sightline._errors, CoordinatorError);
 pyo3::import_exception!(sightline._errors, JobError);
 
-/// The exception of a result that is refused, or of a look-up in it.
+/// Creates the exception of a result that is rejected, or of a look-up in it.
 pub fn of_pvs(e: PvsError) -> PyErr {
     match e {
         PvsError::NoCell { .. } => PyIndexError::new_err(e.to_string()),
@@ -20,21 +21,29 @@ pub fn of_pvs(e: PvsError) -> PyErr {
     }
 }
 
-/// The exception of a failed command.
-pub fn of_command(e: CliError) -> PyErr {
+/// Creates the exception of an error of the library.
+pub fn from_library(e: LibraryError) -> PyErr {
     let text = in_python(&e.to_string());
-    match e {
-        CliError::Usage(_) => OptionError::new_err(text),
-        CliError::Input(_) => InputError::new_err(text),
-        CliError::Coordinator(_) => CoordinatorError::new_err(text),
-        CliError::Job(_) => JobError::new_err(text),
-        CliError::Internal(_) | CliError::Different(_) | CliError::Interrupted(_) => {
+    match e.kind() {
+        ErrorKind::Usage => {
+            let option = e.option().map(|option| option.replace('-', "_"));
+            OptionError::new_err((text, option))
+        }
+        ErrorKind::Input => InputError::new_err(text),
+        ErrorKind::Coordinator => CoordinatorError::new_err(text),
+        ErrorKind::Job => JobError::new_err(text),
+        ErrorKind::Internal | ErrorKind::Different | ErrorKind::Cancelled => {
             SightlineError::new_err(text)
         }
     }
 }
 
-/// A message with options as Python writes them: `max_error` for `--max-error`.
+/// Reads options from JSON text.
+pub fn parse<T: DeserializeOwned>(text: &str) -> PyResult<T> {
+    serde_json::from_str(text).map_err(|e| OptionError::new_err(e.to_string()))
+}
+
+/// Returns a message with options as Python writes them: `max_error` for `--max-error`.
 fn in_python(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let mut rest = text;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::Vec3;
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
-use sightline_cli::calls::Source;
+use sightline::SceneSource;
 use sightline_scene::{Object, Triangle};
 
 use crate::errors::InputError;
@@ -17,10 +17,10 @@ type Part<'py> = (
     PyReadonlyArray2<'py, i64>,
 );
 
-/// Reads what `sightline._mesh.source` gives.
-pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<Source> {
+/// Reads a mesh as `sightline._mesh.source` returns it.
+pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<SceneSource> {
     if let Ok(path) = mesh.extract::<PathBuf>() {
-        return Ok(Source::File(path));
+        return Ok(SceneSource::File(path));
     }
     let parts: Vec<Part<'_>> = mesh.extract()?;
     let (mut triangles, mut objects) = (Vec::new(), Vec::new());
@@ -47,7 +47,7 @@ pub fn source(mesh: &Bound<'_, PyAny>) -> PyResult<Source> {
             count: number(faces.nrows())?,
         });
     }
-    Ok(Source::Memory(triangles, objects))
+    Ok(SceneSource::Triangles(triangles, objects))
 }
 
 fn number(n: usize) -> PyResult<u32> {

@@ -1,4 +1,4 @@
-//! Waiting for long work: it runs on another thread, while this one shows its progress and hears of Ctrl-C.
+//! Waiting for long work: it runs on another thread, while this one shows its progress and handles Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -6,32 +6,44 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use pyo3::prelude::*;
-use sightline_cli::calls::{CliError, Progress, Watcher};
+use sightline::{Error, Note, Observer, Progress};
 
-use crate::errors::{SightlineError, of_command};
+use crate::errors::{SightlineError, from_library};
 
 /// Time between two looks for signals.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// As large as that of most main threads.
 const STACK_BYTES: usize = 8 << 20;
 
+/// Progress as Python receives it: done, total, noun, state, seconds left.
+type ProgressTuple = (u64, u64, &'static str, &'static str, Option<f64>);
+
 /// The waiting thread, as the working one sees it.
 struct Caller<'a> {
-    progress: Mutex<Sender<Progress>>,
+    progress: Mutex<Sender<ProgressTuple>>,
     stop: &'a AtomicBool,
 }
 
-impl Watcher for Caller<'_> {
-    fn progress(&self, progress: Progress) {
-        // Nobody listens any more only when the work is to stop.
-        let _ = self
-            .progress
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .send(progress);
+impl Observer for Caller<'_> {
+    fn progress(&self, progress: &Progress<'_>) {
+        let shown = (
+            progress.done,
+            progress.total,
+            progress.what,
+            progress.state(),
+            progress.seconds_left(),
+        );
+        let sender = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        // The receiver is gone only when the work is to stop.
+        let _ = sender.send(shown);
     }
 
-    fn is_stopped(&self) -> bool {
+    fn note(&self, note: &Note) {
+        // This fails when the interpreter is ending, or when a handler has raised an error.
+        let _ = Python::try_attach(|py| log(py, note));
+    }
+
+    fn is_cancelled(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 }
@@ -41,7 +53,7 @@ impl Watcher for Caller<'_> {
 pub fn wait<T: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
-    work: impl FnOnce(&dyn Watcher) -> Result<T, CliError> + Send,
+    work: impl FnOnce(&dyn Observer) -> Result<T, Error> + Send,
 ) -> PyResult<T> {
     let stop = &AtomicBool::new(false);
     let (sender, told) = channel();
@@ -75,17 +87,30 @@ pub fn wait<T: Send>(
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             match raised {
                 Some(e) => Err(e),
-                None => done.map_err(of_command),
+                None => done.map_err(from_library),
             }
         })
     })
 }
 
 /// Calls `progress`, and lets the handlers of signals run.
-fn show(py: Python<'_>, progress: Option<&Py<PyAny>>, latest: Option<Progress>) -> PyResult<()> {
+fn show(
+    py: Python<'_>,
+    progress: Option<&Py<PyAny>>,
+    latest: Option<ProgressTuple>,
+) -> PyResult<()> {
     py.check_signals()?;
-    if let (Some(call), Some(p)) = (progress, latest) {
-        call.call1(py, (p.done, p.total, p.what, p.state, p.seconds_left))?;
+    if let (Some(call), Some(shown)) = (progress, latest) {
+        call.call1(py, shown)?;
     }
     Ok(())
+}
+
+/// Gives a note to Python's logger "sightline".
+fn log(py: Python<'_>, note: &Note) -> PyResult<()> {
+    let logger = py
+        .import("logging")?
+        .call_method1("getLogger", ("sightline",))?;
+    let level = if note.is_warning { "warning" } else { "info" };
+    logger.call_method1(level, ("%s", &note.text)).map(drop)
 }

@@ -1,72 +1,126 @@
-//! Baking, measuring and checking in this process. Options are flags of the commands; answers are JSON text.
+//! Baking, planning, measuring and checking in this process. Options and answers are JSON text.
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
+use serde::Deserialize;
 use serde_json::Value;
-use sightline_cli::calls::{self, CliError, Source, Watcher};
+use sightline::{
+    JobOptions, LoadOptions, Local, MeasureOptions, NamedResult, TracerSearch, VerifyOptions,
+    read_scene, tiles,
+};
 
+use crate::errors::parse;
 use crate::mesh;
 use crate::pvs::Pvs;
 use crate::waiting::wait;
 
-/// How a result that has no file is called in messages.
+/// The name of a result in messages.
 const RESULT: &str = "result";
 
-/// Bakes a scene into a file.
+/// The options of a bake.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct BakeOptions {
+    scene: LoadOptions,
+    job: Value,
+    #[serde(default)]
+    local: Local,
+}
+
+/// Bakes a scene, into a file if the options name one; returns the result.
 #[pyfunction]
 pub fn bake(
     py: Python<'_>,
     scene: &Bound<'_, PyAny>,
-    output: PathBuf,
-    flags: Vec<OsString>,
+    options: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Pvs> {
+    let source = mesh::source(scene)?;
+    let BakeOptions { scene, job, local } = parse(options)?;
+    wait(py, progress.as_ref(), |observer| {
+        let options = JobOptions::from_json(&job)?;
+        let search = TracerSearch::begin(options.backend.unwrap_or_default());
+        let scene = read_scene(&source, &scene, observer)?;
+        let job = options.resolve(&scene, observer);
+        let job = job.map_err(|e| e.naming_scene(source.path()))?;
+        sightline::bake_after(search, &scene, &job, &local, observer).map(|baked| baked.pvs)
+    })
+    .map(Pvs)
+}
+
+/// Writes the plan of a bake to a folder; returns its description.
+#[pyfunction]
+pub fn plan(
+    py: Python<'_>,
+    scene: &Bound<'_, PyAny>,
+    folder: &str,
+    options: &str,
+) -> PyResult<String> {
+    let source = mesh::source(scene)?;
+    let BakeOptions { scene, job, .. } = parse(options)?;
+    let planned = wait(py, None, |observer| {
+        let options = JobOptions::from_json(&job)?;
+        let scene = read_scene(&source, &scene, observer)?;
+        let job = options.resolve(&scene, observer);
+        let job = job.map_err(|e| e.naming_scene(source.path()))?;
+        tiles::plan(&scene, &job, folder, observer)
+    })?;
+    Ok(serde_json::json!(planned).to_string())
+}
+
+/// Computes a tile of a plan; returns its description.
+#[pyfunction]
+pub fn tile(
+    py: Python<'_>,
+    folder: &str,
+    number: u32,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    let scene = mesh::source(scene)?;
-    let done = wait(py, progress.as_ref(), |watcher| {
-        calls::bake(&scene, &output, &flags, watcher)
+    let tile = wait(py, progress.as_ref(), |observer| {
+        tiles::run_tile(folder, number, observer)
     })?;
-    Ok(done.to_string())
+    Ok(serde_json::json!(tile).to_string())
 }
 
-/// A command about a result in its scene.
-type About =
-    fn(&Source, (&sightline_pvs::Pvs, &Path), &[OsString], &dyn Watcher) -> Result<Value, CliError>;
-
-fn about(
-    py: Python<'_>,
-    command: About,
-    (pvs, scene): (&Bound<'_, Pvs>, &Bound<'_, PyAny>),
-    flags: &[OsString],
-    progress: Option<&Py<PyAny>>,
-) -> PyResult<String> {
-    let (scene, pvs) = (mesh::source(scene)?, pvs.get());
-    let of = (&pvs.0, Path::new(RESULT));
-    let done = wait(py, progress, |watcher| command(&scene, of, flags, watcher))?;
-    Ok(done.to_string())
+/// Joins the tiles of a plan to a result file.
+#[pyfunction]
+pub fn assemble(py: Python<'_>, folder: &str, output: PathBuf) -> PyResult<()> {
+    wait(py, None, |_| tiles::assemble(folder, &output).map(drop))
 }
 
-/// Measures a result.
+/// Measures a result; returns the document of `sightline measure`.
 #[pyfunction]
 pub fn measure(
     py: Python<'_>,
     pvs: &Bound<'_, Pvs>,
     scene: &Bound<'_, PyAny>,
-    flags: Vec<OsString>,
+    options: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    about(py, calls::measure, (pvs, scene), &flags, progress.as_ref())
+    let (source, pvs) = (mesh::source(scene)?, pvs.get());
+    let options: MeasureOptions = parse(options)?;
+    let result = NamedResult::new(&pvs.0, Path::new(RESULT));
+    let report = wait(py, progress.as_ref(), |observer| {
+        sightline::measure(&source, result, &options, observer)
+    })?;
+    Ok(serde_json::json!(report).to_string())
 }
 
-/// Checks a result.
+/// Verifies a result; returns the document of `sightline verify --json`.
 #[pyfunction]
 pub fn verify(
     py: Python<'_>,
     pvs: &Bound<'_, Pvs>,
     scene: &Bound<'_, PyAny>,
-    flags: Vec<OsString>,
+    options: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<String> {
-    about(py, calls::verify, (pvs, scene), &flags, progress.as_ref())
+    let (source, pvs) = (mesh::source(scene)?, pvs.get());
+    let options: VerifyOptions = parse(options)?;
+    let result = NamedResult::new(&pvs.0, Path::new(RESULT));
+    let verdict = wait(py, progress.as_ref(), |observer| {
+        sightline::verify(&source, result, &options, observer)
+    })?;
+    Ok(serde_json::json!(verdict).to_string())
 }

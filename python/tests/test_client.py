@@ -76,7 +76,7 @@ def test_a_coordinator_that_is_not_there_is_named():
     client = sightline.Client("http://127.0.0.1:9")
     with pytest.raises(sightline.CoordinatorError, match="no coordinator answers at http://127.0.0.1:9"):
         client.jobs()
-    with pytest.raises(sightline.OptionError):
+    with pytest.raises(TypeError, match="Client has no option nonsense"):
         sightline.Client("http://127.0.0.1:9", nonsense="x")
     with pytest.raises(TypeError, match="submit has no option cell"):
         client.submit(TOWN, cell=3)

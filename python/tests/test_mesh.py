@@ -69,7 +69,7 @@ def test_a_scene_has_an_object_for_each_node_at_its_place():
         (np.eye(3), np.zeros((0, 3), int), "has no faces"),
         ([[0, 0, 0], [1, np.nan, 0], [0, 1, 0]], [[0, 1, 2]], r"vertex 1 of mesh is \[1.0, nan, 0.0\]"),
         (np.eye(3) * 1e39, [[0, 1, 2]], "too large for single precision"),
-        (np.zeros((3, 3)), [[0, 1, 2]], "none of its triangles has an area"),
+        (np.zeros((3, 3)), [[0, 1, 2]], "none of the triangles of the scene has an area"),
     ],
 )
 def test_wrong_arrays_are_refused_in_a_sentence(vertices, faces, says):

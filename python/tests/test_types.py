@@ -42,4 +42,4 @@ def test_every_option_of_the_command_has_a_type(program):
     others = {"output", "data-dir", "workers", "view", "json", "help", "version"}
     known = {name.replace("_", "-") for name in _options.JobOptions.__annotations__}
     assert known == flags - others
-    assert {name for name in _options.JobOptions.__annotations__} <= set(_options._TEXTS)
+    assert {name for name in _options.JobOptions.__annotations__} <= set(_options._CONVERT)

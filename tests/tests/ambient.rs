@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests")]
 
+use sightline::{Client, Endpoint, OrderedReceivers, Silent, Submission};
 use sightline_ambient::{Falloff, Light, Prepared, Receiver, Settings, Solver};
-use sightline_cli::ambient_job::{self, Ordered, Whom};
 use sightline_proto::connecting::{Connection, Credentials};
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
@@ -72,25 +72,30 @@ async fn connect(coordinator: &Coordinator<'_>) -> JobsClient<Connection> {
     JobsClient::new(credentials.over(channel))
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
+fn library_client(coordinator: &Coordinator<'_>) -> Client {
+    Client::new(Endpoint::new(&coordinator.url)).unwrap()
+}
+
+#[test]
+fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     let sandbox = Sandbox::new();
     let scene = town(&sandbox);
     let all = receivers(&scene, RECEIVERS);
     let prepared = Prepared::new(&scene, false).unwrap();
     let solver = Solver::new(&prepared, settings());
-    let ordered = Ordered::new(&solver, &all);
-    let whom = Whom {
+    let ordered = OrderedReceivers::new(&solver, &all);
+    let submission = Submission {
         name: "town".to_owned(),
-        ..Whom::default()
+        ..Submission::default()
     };
     let mut results = Vec::new();
     for (data, workers, kills) in [("one", 1, false), ("two", 2, false), ("killed", 2, true)] {
         let coordinator = sandbox.coordinator(data, "127.0.0.1:0");
-        let mut client = connect(&coordinator).await;
-        let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
-            .await
+        let client = library_client(&coordinator);
+        let handle = client
+            .submit_ambient(&scene, &ordered, &submission, &Silent)
             .unwrap();
+        let job = handle.job().message().clone();
         assert_eq!((job.tiles_total, job.cells_total), (5, RECEIVERS as u64));
         let mut working: Vec<_> = (0..workers).map(|_| coordinator.worker()).collect();
         if kills {
@@ -102,18 +107,17 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
         }
         coordinator.ok(&format!("watch {}", job.id));
         // The same again is answered with the same job.
-        let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
-            .await
+        let handle = client
+            .submit_ambient(&scene, &ordered, &submission, &Silent)
             .unwrap();
+        let again = handle.job().message().clone();
         assert_eq!((again.id, again.state()), (job.id, v1::JobState::Done));
         assert_eq!(
             (again.cells_done, again.tiles_set_aside),
             (RECEIVERS as u64, 0)
         );
         assert_eq!(again.profile, "none");
-        let openness = ambient_job::fetch(&mut client, &again, &ordered.receivers)
-            .await
-            .unwrap();
+        let openness = handle.fetch_openness(&ordered, &Silent).unwrap();
         assert_eq!(openness.missing(), 0);
         results.push((again.result, openness));
         // It has no sets.
@@ -131,7 +135,7 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     let numbers = solved.iter().flat_map(|a| [a.openness.open, a.lights[0]]);
     let expected: Vec<f32> = numbers.map(|x| (x as f32).clamp(0.0, 1.0)).collect();
     assert!(
-        ordered.back(openness) == expected,
+        ordered.restore(openness) == expected,
         "the answers are not those of the solver"
     );
     let bound = solved
@@ -156,21 +160,22 @@ async fn one_worker_two_and_one_killed_give_the_bytes_of_the_solver() {
     );
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_job_whose_receivers_are_lost_waits_until_they_are_sent_again() {
+#[test]
+fn job_without_receivers_waits_for_upload() {
     let sandbox = Sandbox::new();
     let scene = town(&sandbox);
     let all = receivers(&scene, 300);
     let prepared = Prepared::new(&scene, false).unwrap();
-    let ordered = Ordered::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all);
+    let ordered = OrderedReceivers::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all);
     let coordinator = sandbox.coordinator("data", "127.0.0.1:0");
-    let mut client = connect(&coordinator).await;
-    let whom = Whom::default();
-    let job = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
-        .await
+    let client = library_client(&coordinator);
+    let submission = Submission::default();
+    let job = client
+        .submit_ambient(&scene, &ordered, &submission, &Silent)
         .unwrap()
-        .id;
-    let digest = blake3::hash(&ordered.receivers.encode().unwrap()).to_hex();
+        .job()
+        .id();
+    let digest = blake3::hash(&ordered.receivers().encode().unwrap()).to_hex();
     let blob = format!("data/blobs/{}/{}/{digest}", &digest[..2], &digest[2..4]);
     std::fs::remove_file(sandbox.path(&blob)).unwrap();
     let _worker = coordinator.worker();
@@ -189,21 +194,20 @@ async fn a_job_whose_receivers_are_lost_waits_until_they_are_sent_again() {
             .contains("send the receivers again")
     );
     // The same again sends them, and the job goes on.
-    let again = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
-        .await
+    let again = client
+        .submit_ambient(&scene, &ordered, &submission, &Silent)
         .unwrap();
-    assert_eq!(again.id, job);
+    assert_eq!(again.job().id(), job);
     coordinator.ok(&format!("watch {job}"));
-    let done = ambient_job::submit(&mut client, &scene, &ordered.receivers, &whom)
-        .await
+    let handle = client
+        .submit_ambient(&scene, &ordered, &submission, &Silent)
         .unwrap();
+    let done = handle.job().message().clone();
     assert_eq!(
         (done.id, done.state(), done.reason.as_str()),
         (job, v1::JobState::Done, "")
     );
-    let openness = ambient_job::fetch(&mut client, &done, &ordered.receivers)
-        .await
-        .unwrap();
+    let openness = handle.fetch_openness(&ordered, &Silent).unwrap();
     assert_eq!((openness.points(), openness.missing()), (300, 0));
 }
 
@@ -257,10 +261,10 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
     let ordered = |change: &dyn Fn(&mut Receiver)| {
         let mut all = receivers(&scene, 3);
         all.iter_mut().for_each(change);
-        Ordered::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all).receivers
+        OrderedReceivers::new(&Solver::new(&prepared, Settings::new(DISTANCE)), &all)
     };
     // Damaged in all ways that have a message of their own; the layout is in docs/formats/ambient.md.
-    let good = ordered(&|_| ()).encode().unwrap();
+    let good = ordered(&|_| ()).receivers().encode().unwrap();
     let bent = |at: usize, with: &[u8]| {
         let mut bytes = good.clone();
         bytes[at..at + with.len()].copy_from_slice(with);
@@ -347,9 +351,17 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
         .unwrap();
     // Jobs.
     let mut jobs = client.clone();
-    ambient_job::submit(&mut jobs, &scene, &ordered(&|_| ()), &Whom::default())
-        .await
-        .unwrap();
+    let receivers = ordered(&|_| ());
+    // The client of the library blocks.
+    std::thread::scope(|scope| {
+        let submit = || {
+            let submission = Submission::default();
+            let client = library_client(&coordinator);
+            let submitted = client.submit_ambient(&scene, &receivers, &submission, &Silent);
+            submitted.map(drop).unwrap();
+        };
+        scope.spawn(submit).join().unwrap();
+    });
     let submit = async |receivers: Vec<u8>, change: &dyn Fn(&mut v1::JobSpec)| {
         let ambient = v1::Ambient {
             receivers,
@@ -401,6 +413,7 @@ async fn what_cannot_be_computed_is_refused_with_a_reason() {
         "scene",
     );
     let beyond = ordered(&|r| r.triangle = Some(u32::MAX - 1))
+        .receivers()
         .encode()
         .unwrap();
     let beyond = put(&beyond).await.unwrap().digest;

@@ -19,7 +19,7 @@ from ._client import Client, Job
 from ._errors import CoordinatorError, Error, InputError, JobError, OptionError, Refused, SightlineError
 from ._progress import Progress
 from ._sightline import Pvs
-from ._work import bake, measure, verify
+from ._work import assemble, bake, measure, plan, tile, verify
 
 __all__ = [
     "Client",
@@ -33,7 +33,10 @@ __all__ = [
     "Pvs",
     "Refused",
     "SightlineError",
+    "assemble",
     "bake",
     "measure",
+    "plan",
+    "tile",
     "verify",
 ]

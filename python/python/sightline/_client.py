@@ -13,6 +13,15 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 
+#: The options of a submission.
+_SUBMISSION = {name: name for name in ("name", "user", "priority", "request_id")}
+
+
+def _name(mesh: _mesh.MeshLike) -> str:
+    """The name of a job without one: that of the file."""
+    return os.path.basename(os.fsdecode(mesh)) if isinstance(mesh, (str, os.PathLike)) else "mesh"
+
+
 class Client:
     """A coordinator, started with `sightline coordinator`.
 
@@ -20,15 +29,17 @@ class Client:
         job = client.submit("level.glb", cells=(16, 4, 16))
         pvs = job.wait(progress=print).fetch()
 
-    Each call connects anew, so that a coordinator may be restarted in between. `connection` are further options of
-    the commands of a client, as the command line has them.
+    Each call connects anew, so that a coordinator may be restarted in between. `connection` are files with
+    credentials: `ca` (the authority of the coordinator's certificate), `cert` and `key` (the client's own), and
+    `token_file`.
     """
 
-    def __init__(self, url: str = "http://127.0.0.1:7600", **connection: str) -> None:
-        given = {"coordinator": url, **connection}
-        #: Where the coordinator is.
+    def __init__(self, url: str = "http://127.0.0.1:7600", **connection: _options.Path) -> None:
+        known = ("ca", "cert", "key", "token_file")
+        files = _options.values("Client", known, dict(connection), "")
+        #: The address of the coordinator.
         self.url = url
-        self._native = _sightline.Client([f"--{k.replace('_', '-')}={v}" for k, v in given.items()])
+        self._native = _sightline.Client(url, json.dumps(files))
 
     def submit(
         self,
@@ -48,16 +59,18 @@ class Client:
         request_id: makes it safe to submit again after a fault: the same text gives the same job.
         """
         given: Dict[str, Any] = {"name": name, "user": user, "priority": priority, "request_id": request_id, **options}
-        known = (*_options.JobOptions.__annotations__, "name", "user", "priority", "request_id")
+        known = (*_options.JobOptions.__annotations__, *_SUBMISSION)
         with _options.folder() as folder:
-            flags = _options.flags("submit", known, given, folder)
-            told, existing = self._native.submit(_mesh.source(mesh), flags)
+            job = _options.values("submit", known, given, folder)
+            scene, traces = _options.scene(job), _options.traces(job)
+            submission = {"name": _name(mesh), **_options.take(job, _SUBMISSION)}
+            document = _options.document(scene=scene, job=job, submission=submission, traces=traces)
+            told, existing = self._native.submit(_mesh.source(mesh), document)
         return Job(self, json.loads(told), existing)
 
     def jobs(self, *, limit: Optional[int] = None, before: Optional[int] = None) -> List[Job]:
         """The newest jobs, ascending by number: at most `limit` (100), older than the job `before`."""
-        flags = _options.flags("jobs", ("limit", "before"), {"limit": limit, "before": before}, "")
-        return [Job(self, json.loads(told), True) for told in self._native.jobs(flags)]
+        return [Job(self, json.loads(told), True) for told in self._native.jobs(limit, before)]
 
     def job(self, number: int) -> Job:
         """The job with a number."""
@@ -108,26 +121,26 @@ class Job:
 
     def cancel(self) -> Job:
         """Ends the job. Its finished tiles are kept for `retry`."""
-        return self._turn("cancel")
+        return self._act("cancel")
 
     def pause(self) -> Job:
         """Gives out no more of its tiles. Workers finish those that they have begun."""
-        return self._turn("pause")
+        return self._act("pause")
 
     def resume(self) -> Job:
         """Continues a paused job."""
-        return self._turn("resume")
+        return self._act("resume")
 
     def retry(self) -> Job:
         """Continues a failed or cancelled job, or bakes again what a finished job has set aside."""
-        return self._turn("retry")
+        return self._act("retry")
 
     def prioritize(self, priority: int) -> Job:
         """Gives the job another priority, -1000 to 1000."""
         return self._heard(self._client._native.prioritize(self.number, priority))
 
-    def _turn(self, turn: str) -> Job:
-        return self._heard(self._client._native.turn(self.number, turn))
+    def _act(self, action: str) -> Job:
+        return self._heard(self._client._native.act(self.number, action))
 
     def _heard(self, told: str) -> Job:
         self.info = json.loads(told)

@@ -7,7 +7,12 @@ class SightlineError(Exception):
 
 
 class OptionError(SightlineError, ValueError):
-    """An option has a value that it cannot have, or does not go with another one."""
+    """An option has a value that it cannot have, or does not go with another one. `option` is its name, where
+    one option is at fault."""
+
+    def __init__(self, text: str, option: "str | None" = None) -> None:
+        super().__init__(text)
+        self.option = option
 
 
 class InputError(SightlineError, ValueError):

@@ -1,8 +1,9 @@
-"""Options as keyword arguments, turned into the flags of the command line, which decides what they mean."""
+"""Options as keyword arguments: their types, and the JSON documents that the native part reads."""
 
 from __future__ import annotations
 
 import difflib
+import json
 import os
 import shutil
 import tempfile
@@ -72,61 +73,63 @@ class JobOptions(KindOptions, total=False):
     traces_ca: Path
 
 
-#: Turns a value into the texts of the flags; each text is a flag of its own. None is a flag without a value.
-Texts = Callable[[Any, str], Iterable[Union[str, None]]]
+#: Turns a value into one of JSON. The second argument is a folder for files.
+Convert = Callable[[Any, str], Any]
 
 
-def _whole(value: Any, folder: str) -> Iterable[str]:
+def _whole(value: Any, folder: str) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"it is a whole number, and not {value!r}")
-    return [str(int(value))]
+    return int(value)
 
 
-def _number(value: Any, folder: str) -> Iterable[str]:
+def _number(value: Any, folder: str) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise TypeError(f"it is a number, and not {value!r}")
-    return [repr(float(value))]
+    if not np.isfinite(value):
+        raise ValueError(f"it is a finite number, and not {value!r}")
+    return float(value)
 
 
-def _word(value: Any, folder: str) -> Iterable[str]:
+def _word(value: Any, folder: str) -> str:
     if not isinstance(value, str):
         raise TypeError(f"it is a text, and not {value!r}")
-    return [value]
+    return value
 
 
-def _path(value: Any, folder: str) -> Iterable[str]:
-    return [os.fsdecode(os.fspath(value))]
+def _path(value: Any, folder: str) -> str:
+    return os.fsdecode(os.fspath(value))
 
 
-def _switch(value: Any, folder: str) -> Iterable[None]:
+def _switch(value: Any, folder: str) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"it is True or False, and not {value!r}")
-    return [None] if value else []
+    return bool(value)
 
 
-def _globs(value: Any, folder: str) -> Iterable[Union[str, None]]:
+def _globs(value: Any, folder: str) -> List[str]:
     if isinstance(value, bool):
         return ["*"] if value else []
-    return [word for one in ([value] if isinstance(value, str) else value) for word in _word(one, folder)]
+    return [_word(one, folder) for one in ([value] if isinstance(value, str) else value)]
 
 
-def _duration(value: Any, folder: str) -> Iterable[str]:
-    return [value] if isinstance(value, str) else _number(value, folder)
+def _duration(value: Any, folder: str) -> Union[str, float]:
+    return value if isinstance(value, str) else _number(value, folder)
 
 
-def _cells(value: Any, folder: str) -> Iterable[str]:
+def _cells(value: Any, folder: str) -> Union[str, List[int]]:
     if isinstance(value, str):
-        return [value]
-    of = [value] * 3 if isinstance(value, (int, np.integer)) else list(value)
-    if len(of) != 3:
+        return value
+    cells = [value] * 3 if isinstance(value, (int, np.integer)) else list(value)
+    if len(cells) != 3:
         raise ValueError(f"it is one number or three, as in (8, 8, 8), and not {value!r}")
-    return ["x".join(text for n in of for text in _whole(n, folder))]
+    return [_whole(n, folder) for n in cells]
 
 
-def _rows(columns: int) -> Texts:
-    """Rows of numbers, or a single one; each row is a flag."""
+def _rows(columns: int) -> Convert:
+    """Rows of numbers, or a single one."""
 
-    def texts(value: Any, folder: str) -> Iterable[str]:
+    def rows_of(value: Any, folder: str) -> List[List[float]]:
         rows = np.asarray(value, dtype=np.float64)
         # A box is also its least and its greatest corner.
         if columns == 6 and rows.shape == (2, 3):
@@ -137,29 +140,38 @@ def _rows(columns: int) -> Texts:
             rows = rows.reshape(len(rows), -1)
         if rows.ndim != 2 or rows.shape[1] != columns or len(rows) == 0:
             raise ValueError(f"it is {columns} numbers, or rows of them, and not of the shape {np.shape(value)}")
-        return [",".join(repr(float(x)) for x in row) for row in rows]
+        if not np.isfinite(rows).all():
+            raise ValueError("its numbers are finite")
+        return [[float(x) for x in row] for row in rows]
 
-    return texts
+    return rows_of
 
 
-def _viewpoints(value: Any, folder: str) -> Iterable[str]:
+def _heights(value: Any, folder: str) -> List[float]:
+    low, high = _rows(2)(value, folder)[0]
+    if low > high:
+        raise ValueError(f"it is the least and the greatest height, and not {value!r}")
+    return [low, high]
+
+
+def _viewpoints(value: Any, folder: str) -> str:
     """A file of viewpoints; an array becomes one."""
     if isinstance(value, (str, os.PathLike)):
         return _path(value, folder)
     file = os.path.join(folder, "viewpoints.txt")
     np.savetxt(file, _mesh.points("viewpoints", value, (3, 4)), fmt="%.17g")
-    return [file]
+    return file
 
 
-_TEXTS: Dict[str, Texts] = {
+_CONVERT: Dict[str, Convert] = {
     **dict.fromkeys(
-        ("certificates", "contributions", "no_solids", "alpha_textures", "cull_back_faces", "all", "dry_run", "exact"),
+        ("certificates", "contributions", "no_solids", "alpha_textures", "cull_back_faces", "exact"),
         _switch,
     ),
     **dict.fromkeys(("see_through", "occluder_only", "moving", "doors", "opaque"), _globs),
     **dict.fromkeys(
         ("triangle_budget", "max_depth", "block_cells", "rays", "resolution", "seed", "workers", "priority")
-        + ("pairs", "sample", "threads", "limit", "before"),
+        + ("pairs", "sample"),
         _whole,
     ),
     **dict.fromkeys(
@@ -169,18 +181,31 @@ _TEXTS: Dict[str, Texts] = {
     ),
     **dict.fromkeys(
         ("method", "sampler", "granularity", "cell_to_cell", "up", "error_measure", "superset", "backend")
-        + ("name", "user", "request_id", "coordinator", "traces"),
+        + ("name", "user", "request_id", "traces"),
         _word,
     ),
-    **dict.fromkeys(("view_mesh", "data_dir", "path", "images", "traces_ca"), _path),
+    **dict.fromkeys(
+        ("view_mesh", "data_dir", "output", "path", "images", "traces_ca", "ca", "cert", "key", "token_file"), _path
+    ),
     "time_budget": _duration,
     "cells": _cells,
     "view_box": _rows(6),
-    "eye_heights": _rows(2),
+    "eye_heights": _heights,
     "reachable_from": _rows(3),
     "viewpoints": _viewpoints,
     "viewpoints_file": _viewpoints,
 }
+
+#: The kinds of triangles by their options.
+_KINDS = {
+    "see_through": "see-through",
+    "occluder_only": "occluder-only",
+    "moving": "moving",
+    "doors": "doors",
+    "opaque": "opaque",
+}
+#: The fields of the collector of traces by their options.
+_TRACES = {"traces": "url", "traces_ca": "ca"}
 
 
 @contextmanager
@@ -194,10 +219,11 @@ def folder() -> Iterator[str]:
         shutil.rmtree(path, ignore_errors=True)
 
 
-def flags(function: str, known: Iterable[str], options: Dict[str, Any], folder: str) -> List[str]:
-    """The flags of these options; None leaves an option out. Files that they need are written to `folder`."""
+def values(function: str, known: Iterable[str], options: Dict[str, Any], folder: str) -> Dict[str, Any]:
+    """The values of options as JSON has them; None leaves an option out. Files that they need are written to
+    `folder`."""
     known = set(known)
-    out = []
+    out = {}
     for name, value in options.items():
         if name not in known:
             near = difflib.get_close_matches(name, sorted(known), 1)
@@ -205,12 +231,35 @@ def flags(function: str, known: Iterable[str], options: Dict[str, Any], folder: 
             raise TypeError(f"{function} has no option {name}{hint}")
         if value is None:
             continue
-        flag = "--" + ("viewpoints-file" if name == "viewpoints_file" else name.replace("_", "-"))
         try:
-            texts = list(_TEXTS[name](value, folder))
+            out[name] = _CONVERT[name](value, folder)
         except TypeError as e:
             raise TypeError(f"{function}, {name}: {e}") from None
         except ValueError as e:
-            raise OptionError(f"{function}, {name}: {e}") from None
-        out += [flag if text is None else f"{flag}={text}" for text in texts]
+            raise OptionError(f"{function}, {name}: {e}", name) from None
     return out
+
+
+def take(values: Dict[str, Any], names: Dict[str, str]) -> Dict[str, Any]:
+    """Moves options into a document of their own, in which they have other names."""
+    return {names[name]: values.pop(name) for name in list(values) if name in names}
+
+
+def scene(values: Dict[str, Any]) -> Dict[str, Any]:
+    """Moves the options about kinds and sides into the document of a scene. Rules keep the order of the
+    arguments."""
+    kinds = take(values, {name: name for name in (*_KINDS, "alpha_textures", "cull_back_faces")})
+    rules = [(_KINDS[name], glob) for name, globs in kinds.items() if name in _KINDS for glob in globs]
+    document: Dict[str, Any] = {"rules": rules}
+    document.update({name: kinds[name] for name in ("alpha_textures", "cull_back_faces") if name in kinds})
+    return document
+
+
+def traces(values: Dict[str, Any]) -> Dict[str, Any]:
+    """Moves the options about traces into their document."""
+    return take(values, _TRACES)
+
+
+def document(**parts: Any) -> str:
+    """The JSON text of parts."""
+    return json.dumps(parts)

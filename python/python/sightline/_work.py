@@ -1,4 +1,4 @@
-"""Baking, measuring and checking in this process."""
+"""Baking, planning, measuring and checking in this process."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 _JOB = tuple(_options.JobOptions.__annotations__)
 _KINDS = tuple(_options.KindOptions.__annotations__)
+#: The options of a bake in this process.
+_LOCAL = {name: name for name in ("workers", "data_dir", "output")}
 
 
 def bake(
@@ -50,14 +52,47 @@ def bake(
         pvs = sightline.bake((vertices, faces), cells=(16, 4, 16), max_error=1e-3)
         ids = pvs.visible((1.5, 2.0, -3.0))
     """
-    given: Dict[str, Any] = {"workers": workers, "data_dir": data_dir, **options}
+    given: Dict[str, Any] = {"workers": workers, "data_dir": data_dir, "output": output, **options}
     with _options.folder() as folder:
-        flags = _options.flags("bake", (*_JOB, "workers", "data_dir"), given, folder)
-        if data_dir is None:
-            flags.append(f"--data-dir={os.path.join(folder, 'data')}")
-        to = os.path.join(folder, "result.pvs") if output is None else os.fspath(output)
-        _sightline.bake(_mesh.source(mesh), to, flags, _progress.caller(progress))
-        return _read(to) if output is None else Pvs(to)
+        job = _options.values("bake", (*_JOB, *_LOCAL), given, folder)
+        scene, traces = _options.scene(job), _options.traces(job)
+        local = _options.take(job, _LOCAL)
+        local.setdefault("data_dir", os.path.join(folder, "data"))
+        document = _options.document(scene=scene, job=job, local={**local, "traces": traces})
+        return _sightline.bake(_mesh.source(mesh), document, _progress.caller(progress))
+
+
+def plan(mesh: _mesh.MeshLike, folder: _options.Path, **options: Unpack[_options.JobOptions]) -> Dict[str, Any]:
+    """Writes the plan of a bake to a folder, or to a place in a bucket ("s3://BUCKET/PREFIX"), as `sightline plan`
+    does. The meshes and options are those of `bake`, without `time_budget`, `traces` and `traces_ca`.
+
+    Any number of processes compute the tiles with `tile`, and `assemble` joins them. Returns what the command
+    prints with --json: `output`, `tiles` (their number) and `profile`.
+    """
+    with _options.folder() as files:
+        known = [name for name in _JOB if name not in ("time_budget", "traces", "traces_ca")]
+        job = _options.values("plan", known, dict(options), files)
+        scene = _options.scene(job)
+        told = _sightline.plan(_mesh.source(mesh), os.fspath(folder), _options.document(scene=scene, job=job))
+    return _object(told)
+
+
+def tile(
+    folder: _options.Path, number: int, *, progress: Optional[_progress.OnProgress] = None
+) -> Dict[str, Any]:
+    """Computes a tile of the plan in a folder or bucket, unless its file is there and whole, as `sightline tile`
+    does. Tiles are numbered from 0; `plan.json` in the folder lists which tiles each one needs.
+
+    Returns what the command prints with --json: `tile`, `output`, `computed`, `samples` and `bytes`.
+    """
+    return _object(_sightline.tile(os.fspath(folder), number, _progress.caller(progress)))
+
+
+def assemble(folder: _options.Path, output: _options.Path) -> Pvs:
+    """Joins the tiles of the plan in a folder or bucket to the result file `output`, as `sightline assemble` does,
+    and returns the result. Its bytes are those of `bake`."""
+    _sightline.assemble(os.fspath(folder), os.fspath(output))
+    return Pvs(output)
 
 
 def measure(
@@ -88,21 +123,21 @@ def measure(
     Returns what the command prints: `mean_error`, `p99_error` and `max_error` as fractions of a frame's pixels, or
     of all directions with exact, `frames`, `worst` and more.
     """
-    given: Dict[str, Any] = {"seed": seed, **kinds}
+    given: Dict[str, Any] = {"seed": seed, "path": path, **kinds}
     if exact:
         given["exact"] = True
     else:
         given.update({"resolution": resolution, "pairs": pairs, "images": images, "backend": backend})
-    if path is not None:
-        given["path"] = path
     with _options.folder() as folder:
         known = (*_KINDS, "seed", "resolution", "path", "pairs", "images", "backend", "exact", "viewpoints_file")
+        count = 4294967295
         if isinstance(viewpoints, int) and not isinstance(viewpoints, bool):
-            count = [] if path is not None else [f"--viewpoints={viewpoints}"]
+            count = viewpoints
         else:
-            count, given["viewpoints_file"] = ["--viewpoints=4294967295"], viewpoints
-        flags = count + _options.flags("measure", known, given, folder)
-        told = _sightline.measure(_opened(pvs), _mesh.source(mesh), flags, _progress.caller(progress))
+            given["viewpoints_file"] = viewpoints
+        values = _options.values("measure", known, given, folder)
+        document = _options.document(scene=_options.scene(values), viewpoints=count, **values)
+        told = _sightline.measure(_opened(pvs), _mesh.source(mesh), document, _progress.caller(progress))
     return _object(told)
 
 
@@ -123,8 +158,9 @@ def verify(
     Returns what the command prints, with `accepted` True. A claim that does not hold raises `Refused`.
     """
     given: Dict[str, Any] = {"sample": sample, "seed": seed, **kinds}
-    flags = _options.flags("verify", (*_KINDS, "sample", "seed"), given, "")
-    told = _object(_sightline.verify(_opened(pvs), _mesh.source(mesh), flags, _progress.caller(progress)))
+    values = _options.values("verify", (*_KINDS, "sample", "seed"), given, "")
+    document = _options.document(scene=_options.scene(values), **values)
+    told = _object(_sightline.verify(_opened(pvs), _mesh.source(mesh), document, _progress.caller(progress)))
     if not told["accepted"]:
         raise Refused(told["reason"], told.get("cell"))
     return told

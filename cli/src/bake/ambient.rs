@@ -1,0 +1,32 @@
+//! `sightline ambient`: what the hemispheres of points, texels or vertices are free of.
+
+use crate::args::ambient::AmbientArgs;
+use crate::bake::ambient_file;
+use crate::bake::ambient_points;
+use sightline::Error;
+
+/// Answers for the points of a file, or puts the occlusion into the scene's own.
+pub fn run(args: &AmbientArgs, json: bool) -> Result<(), Error> {
+    if args.points.is_none() && (args.fragments || args.lights.is_some() || args.threads.is_some())
+    {
+        return Err(Error::usage(
+            "--fragments, --lights and --threads are for --points; leave them out, or give points"
+                .to_owned(),
+        ));
+    }
+    if args.kinds.options.cull_back_faces {
+        return Err(Error::usage(
+            "triangles hide from either side here; leave out --cull-back-faces".to_owned(),
+        ));
+    }
+    match (&args.points, &args.output) {
+        (Some(_), Some(_)) => Err(Error::usage(
+            "--points prints answers and -o writes a file; give one of the two".to_owned(),
+        )),
+        (Some(points), None) => ambient_points::run(args, points),
+        (None, Some(output)) => ambient_file::run(args, output, json),
+        (None, None) => Err(Error::usage(
+            "give --points P.jsonl or -o OUT.glb".to_owned(),
+        )),
+    }
+}

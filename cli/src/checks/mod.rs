@@ -1,0 +1,5 @@
+//! Commands that check results.
+
+pub mod bench;
+pub mod measure;
+pub mod verify;

@@ -1,0 +1,17 @@
+//! `sightline health`: whether a coordinator serves.
+
+use sightline::Error;
+
+use crate::args::remote::RemoteArgs;
+use crate::terminal::progress::Terminal;
+use crate::terminal::stdout::print;
+
+/// Checks whether a coordinator serves.
+pub fn run(args: &RemoteArgs, json: bool) -> Result<(), Error> {
+    args.client()?.health(&Terminal::new())?;
+    print(if json {
+        r#"{"status":"serving"}"#
+    } else {
+        "serving"
+    })
+}

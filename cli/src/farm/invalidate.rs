@@ -1,0 +1,49 @@
+//! `sightline invalidate`: tiles that are computed again.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde_json::{Value, json};
+use sightline::Error;
+use sightline_proto::v1;
+
+use crate::args::remote::InvalidateArgs;
+use crate::terminal::progress::Terminal;
+use crate::terminal::stdout::print;
+
+/// Has tiles computed again whose results are not believed any more.
+pub fn run(args: &InvalidateArgs, json: bool) -> Result<(), Error> {
+    if let (Some(since), Some(until)) = (args.since, args.until)
+        && since <= until
+    {
+        let text = "--since is a longer time than --until: both count back from now";
+        return Err(Error::usage(text.to_owned()));
+    }
+    let now = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_err(Error::internal)?;
+    let ago = |time: Duration| now.saturating_sub(time).as_millis() as u64;
+    let request = v1::InvalidateRequest {
+        job: args.id,
+        tiles: args.tiles.clone(),
+        worker: args.worker.clone().unwrap_or_default(),
+        from_ms: args.since.map(ago),
+        to_ms: args.until.map(ago),
+    };
+    let jobs = args
+        .remote
+        .client()?
+        .invalidate(request, &Terminal::new())?;
+    if json {
+        let job = |job: &v1::InvalidatedJob| json!({"job": job.job, "tiles": job.tiles});
+        return print(&Value::from_iter(jobs.iter().map(job)).to_string());
+    }
+    if jobs.is_empty() {
+        return print("no done tile is meant; `sightline show JOB --tiles` lists who did which");
+    }
+    jobs.iter().try_for_each(|job| {
+        print(&format!(
+            "job {}: {} tiles are computed again",
+            job.job, job.tiles
+        ))
+    })
+}

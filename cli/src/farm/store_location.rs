@@ -1,0 +1,154 @@
+//! Where a coordinator keeps its records, as `--store` names it.
+
+use std::path::{Path, PathBuf};
+
+use sightline_coordinator::store::DatabaseAddress;
+
+use crate::args::serve::StoreArgs;
+use crate::terminal::stderr::say;
+use sightline::Error;
+
+/// The variable that holds the password of the database, as for PostgreSQL's own programs.
+const PASSWORD: &str = "PGPASSWORD";
+
+/// A place for records.
+#[derive(Debug)]
+pub enum StorePlace {
+    /// In the data directory.
+    Default,
+    /// In this directory.
+    Sled(PathBuf),
+    /// In memory, until the end.
+    Memory,
+    /// In a database.
+    Database(Box<DatabaseAddress>),
+}
+
+impl StorePlace {
+    /// The place that the arguments name. No error repeats the address, which may hold a password.
+    ///
+    /// # Errors
+    /// [`sightline::ErrorKind::Usage`].
+    pub fn of(args: &StoreArgs) -> Result<Self, Error> {
+        let place = match args.store.as_deref().filter(|text| !text.is_empty()) {
+            None => Self::Default,
+            Some(text) => Self::parse(text, args.store_ca.as_deref())?,
+        };
+        let given = [
+            ("--advertise", args.advertise.is_some()),
+            ("--peer-ca", args.peer_ca.is_some()),
+        ];
+        if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given)
+            && !matches!(place, Self::Database(_))
+        {
+            return Err(Error::usage(format!(
+                "{option} is for coordinators that share a database; give \
+                 --store postgres://USER@HOST/DATABASE, or leave it out"
+            )));
+        }
+        Ok(place)
+    }
+
+    /// The place that a text names; `ca` is the authority of a database's certificate.
+    ///
+    /// # Errors
+    /// [`sightline::ErrorKind::Usage`].
+    pub fn parse(text: &str, ca: Option<&Path>) -> Result<Self, Error> {
+        match text.split_once(':') {
+            Some(("memory", "")) => Ok(Self::Memory),
+            Some(("sled", directory)) if !directory.is_empty() => Ok(Self::Sled(directory.into())),
+            Some(("postgres" | "postgresql", _)) => {
+                if std::env::args().any(|argument| argument.contains(text)) && has_password(text) {
+                    say(
+                        "everybody on this machine can read the password in the arguments; put the address \
+                         into SIGHTLINE_STORE, or the password into PGPASSWORD",
+                    );
+                }
+                let password = std::env::var(PASSWORD).ok().filter(|text| !text.is_empty());
+                let address = DatabaseAddress::parse(text, password.as_deref(), ca);
+                address
+                    .map(|address| Self::Database(Box::new(address)))
+                    .map_err(|e| Error::usage(e.to_string()))
+            }
+            _ => Err(Error::usage(
+                "--store is sled:DIR, memory: or postgres://USER@HOST/DATABASE".to_owned(),
+            )),
+        }
+    }
+}
+
+/// Whether an address has a password between its user and its host, or among its options.
+fn has_password(text: &str) -> bool {
+    let rest = text.split_once("://").map_or(text, |(_, rest)| rest);
+    let authority = rest.split(['/', '?']).next().unwrap_or_default();
+    authority
+        .rsplit_once('@')
+        .is_some_and(|(user, _)| user.contains(':'))
+        || rest.contains("password=")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(text: &str) -> Result<StorePlace, String> {
+        let store = Some(text.to_owned());
+        let args = StoreArgs {
+            store,
+            store_ca: None,
+            advertise: None,
+            peer_ca: None,
+        };
+        StorePlace::of(&args).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn places_are_told_apart_and_errors_hold_no_password() {
+        assert!(matches!(of(""), Ok(StorePlace::Default)));
+        assert!(matches!(of("memory:"), Ok(StorePlace::Memory)));
+        assert!(matches!(of("sled:/a/b"), Ok(StorePlace::Sled(path)) if path == Path::new("/a/b")));
+        assert!(matches!(
+            of("postgres://u:secret@127.0.0.1/d"),
+            Ok(StorePlace::Database(_))
+        ));
+        for wrong in [
+            "sled:",
+            "memory:x",
+            "secret",
+            "mysql://u:secret@h/d",
+            "postgres://u:secret@h:x/d",
+        ] {
+            let error = of(wrong).unwrap_err();
+            assert!(
+                !error.contains("secret") && error.contains("--store"),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_for_a_database_is_refused_without_one() {
+        let with = |store: &str| {
+            let advertise = Some("https://one:7600".to_owned());
+            StorePlace::of(&StoreArgs {
+                store: Some(store.to_owned()),
+                store_ca: None,
+                advertise,
+                peer_ca: None,
+            })
+        };
+        assert!(with("postgres://u@127.0.0.1/d").is_ok());
+        for store in ["", "memory:", "sled:/a"] {
+            assert!(
+                with(store).unwrap_err().to_string().contains("--advertise"),
+                "{store}"
+            );
+        }
+    }
+
+    #[test]
+    fn passwords_in_addresses_are_seen() {
+        assert!(has_password("postgres://u:p@h/d") && has_password("postgres://u@h/d?password=p"));
+        assert!(!has_password("postgres://u@h:5432/d"));
+    }
+}

@@ -1,0 +1,15 @@
+//! `sightline completions`: the completions of the command line for a shell.
+
+use clap::CommandFactory as _;
+use sightline::Error;
+
+use crate::args::cli::Cli;
+use crate::args::results::CompletionsArgs;
+use crate::terminal::stdout::print;
+
+/// Prints the completions for a shell.
+pub fn run(args: &CompletionsArgs) -> Result<(), Error> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "sightline", &mut script);
+    print(String::from_utf8_lossy(&script).trim_end())
+}

@@ -1,0 +1,4 @@
+//! Exact queries, as JSON Lines.
+
+pub mod sightlines;
+pub mod stab;

@@ -1,0 +1,212 @@
+//! `sightline dump`: the sets of a result as JSON Lines.
+//!
+//! A few bytes of a file can stand for millions of ids, so that the ids of a set are written as they are read
+//! from its runs.
+
+use std::io::{BufWriter, Write as _};
+
+use serde::{Serialize, Serializer};
+use serde_json::{Map, Value, json};
+use sightline_pvs::{Granularity, Pvs, PvsError, Relation, runs};
+
+use crate::args::cli::{DumpArgs, Items};
+use crate::results::info::Summary;
+use crate::terminal::printable;
+use sightline::Error;
+use sightline::open;
+
+/// Prints a result as JSON Lines: a header, then one line per cell.
+pub fn run(args: &DumpArgs) -> Result<(), Error> {
+    let summary = Summary::of(&args.result.result)?;
+    let pvs = open(&args.result.result)?;
+    check(&pvs, args)?;
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    let mut write = || -> Result<(), Dumping> {
+        let mut header = json!({
+            "format": summary.format, "version": summary.version, "triangles": summary.triangles,
+            "method": summary.method, "cells": summary.cells, "view_box": summary.view_box,
+            "objects": summary.objects, "info": summary.info,
+        });
+        if args.items != Items::Triangles {
+            header["items"] = args.items.name().into();
+        }
+        let clusters = (args.items == Items::Clusters).then_some(Clusters(&pvs));
+        let fields = header
+            .as_object_mut()
+            .map(std::mem::take)
+            .unwrap_or_default();
+        printable::json(&mut out, &Head { fields, clusters })?;
+        writeln!(out)?;
+        let all = (0..pvs.cells()).filter(|cell| args.cell.is_empty() || args.cell.contains(cell));
+        for cell in all {
+            let [visible, undecided] = sets(&pvs, cell, args.items)?;
+            let [min, max] = corners(&pvs, cell);
+            let of = |c: &sightline_pvs::Contribution| json!({"mean": c.mean(), "greatest": c.greatest()});
+            let contributions = match args.contributions {
+                true => Some(
+                    pvs.contributions(cell)?
+                        .unwrap_or_default()
+                        .iter()
+                        .map(of)
+                        .collect(),
+                ),
+                false => None,
+            };
+            let line = Line {
+                cell,
+                min,
+                max,
+                visible,
+                undecided,
+                set_aside: pvs.is_set_aside(cell)?.then_some(true),
+                reached: (!pvs.is_reached(cell)?).then_some(false),
+                contributions,
+            };
+            printable::json(&mut out, &line)?;
+            writeln!(out)?;
+        }
+        out.flush()?;
+        Ok(())
+    };
+    match write() {
+        Ok(()) => Ok(()),
+        Err(Dumping::Out(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        Err(Dumping::Out(e)) => Err(crate::terminal::stdout::unwritable(&e)),
+        Err(Dumping::Pvs(e)) => Err(e.into()),
+    }
+}
+
+/// Refuses what the result does not hold.
+fn check(pvs: &Pvs, args: &DumpArgs) -> Result<(), Error> {
+    let file = args.result.result.display();
+    if let Some(cell) = args.cell.iter().find(|cell| **cell >= pvs.cells()) {
+        return Err(Error::usage(format!(
+            "--cell {cell}: {file} has {} cells, from 0",
+            pvs.cells()
+        )));
+    }
+    if args.items == Items::Cells && pvs.cell_pairs()?.is_none() {
+        return Err(Error::input(format!("{file}: {}", PvsError::NoPairs)));
+    }
+    if args.items == Items::Clusters && pvs.granularity() != Granularity::Clusters {
+        return Err(Error::input(format!(
+            "{file}: its sets name {}, not clusters; bake with --granularity clusters",
+            pvs.granularity().name()
+        )));
+    }
+    if args.contributions && !pvs.has_contributions() {
+        return Err(Error::input(format!(
+            "{file} has no contributions; bake with --contributions"
+        )));
+    }
+    if args.contributions && args.items.name() != pvs.granularity().name() {
+        let name = pvs.granularity().name();
+        return Err(Error::input(format!(
+            "{file}: its contributions are those of {name}; dump them with --items {name}, or bake with \
+             --granularity {}",
+            args.items.name()
+        )));
+    }
+    Ok(())
+}
+
+#[derive(Debug, thiserror::Error)]
+enum Dumping {
+    #[error(transparent)]
+    Out(#[from] std::io::Error),
+    #[error(transparent)]
+    Pvs(#[from] PvsError),
+}
+
+/// The first line: the description of the result, and the triangles of its clusters.
+#[derive(Serialize)]
+struct Head<'a> {
+    #[serde(flatten)]
+    fields: Map<String, Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clusters: Option<Clusters<'a>>,
+}
+
+/// The triangles of each cluster of a result.
+struct Clusters<'a>(&'a Pvs);
+
+impl Serialize for Clusters<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq((0..self.0.item_count()).map(|item| Ids(self.0.item_bounds(item))))
+    }
+}
+
+/// The line of a cell.
+#[derive(Serialize)]
+struct Line {
+    cell: u32,
+    min: [f64; 3],
+    max: [f64; 3],
+    visible: Ids,
+    undecided: Ids,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    set_aside: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reached: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    contributions: Option<Vec<Value>>,
+}
+
+/// Returns the corners of a cell as JSON has them: as doubles, in which single precision has all its digits.
+pub fn corners(pvs: &Pvs, cell: u32) -> [[f64; 3]; 2] {
+    pvs.cell_bounds(cell)
+        .unwrap_or_default()
+        .map(|corner| corner.map(f64::from))
+}
+
+/// Ascending ids, kept as the boundaries of their runs.
+pub struct Ids(Vec<u32>);
+
+impl Ids {
+    /// Returns the ids in ascending order.
+    pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
+        self.0.chunks_exact(2).flat_map(|run| run[0]..run[1])
+    }
+
+    /// Returns the number of ids.
+    pub fn count(&self) -> usize {
+        self.0
+            .chunks_exact(2)
+            .map(|run| (run[1] - run[0]) as usize)
+            .sum()
+    }
+}
+
+impl Serialize for Ids {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(self.iter())
+    }
+}
+
+/// Reads the visible and the undecided set of a cell, of items of a kind.
+pub fn sets(pvs: &Pvs, cell: u32, items: Items) -> Result<[Ids; 2], PvsError> {
+    let (mut visible, mut undecided) = (Vec::new(), Vec::new());
+    match items {
+        Items::Triangles => {
+            return Ok([
+                Ids(pvs.visible_bounds(cell)?),
+                Ids(pvs.undecided_bounds(cell)?),
+            ]);
+        }
+        Items::Objects => {
+            pvs.visible_objects(cell, &mut visible)?;
+            pvs.undecided_objects(cell, &mut undecided)?;
+        }
+        Items::Clusters => {
+            pvs.visible_items(cell, &mut visible)?;
+            pvs.undecided_items(cell, &mut undecided)?;
+        }
+        Items::Cells => {
+            let pairs = pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?;
+            visible = pairs.visible.partners(cell).collect();
+            let open = |u: &Relation| u.partners(cell).collect();
+            undecided = pairs.undecided.as_ref().map_or_else(Vec::new, open);
+        }
+    }
+    Ok([visible, undecided].map(|ids| Ids(runs::from_ids(&ids))))
+}

@@ -1,0 +1,259 @@
+//! `sightline query`: the set of the cell that contains a point, or whether the cell sees a place.
+
+use std::io::Write as _;
+
+use serde::Serialize;
+use serde_json::{Value, json};
+use sightline_pvs::{Granularity, Pvs, PvsError};
+use sightline_scene::Scene;
+
+use crate::args::cli::{Items, QueryArgs};
+use crate::results::dump::{Ids, corners, sets};
+use crate::results::query_why::{self, Question};
+use crate::scenes::read::scene_of;
+use crate::terminal::printable;
+use crate::terminal::stderr::say;
+use crate::terminal::stdout::{print, print_json, print_with};
+use sightline::Error;
+use sightline::NamedResult;
+use sightline::open;
+use sightline::viewpoints::region_of_result;
+use sightline::words::plural;
+
+/// Answers a query.
+pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {
+    let pvs = open(&args.result.result)?;
+    let (cell, target) = match (args.point.is_empty(), args.cell) {
+        (true, Some(cell)) if args.sees.is_empty() && args.to_box.is_none() => (cell, None),
+        (true, _) => {
+            return Err(Error::usage(
+                "give the viewpoint as three numbers X Y Z, or --cell alone".to_owned(),
+            ));
+        }
+        (false, to) => {
+            let cell = cell_of(&pvs, args, &args.point)?;
+            (cell, target(&pvs, args, to)?)
+        }
+    };
+    if cell >= pvs.cells() {
+        return Err(PvsError::NoCell {
+            cell,
+            cells: pvs.cells(),
+        }
+        .into());
+    }
+    if !pvs.is_reached(cell)? {
+        return Err(Error::input(format!(
+            "no viewpoint can be in cell {cell}: the bake left it out (--view-box, --view-mesh, \
+             --viewpoints, --reachable-from); choose another point, or bake with more viewpoints"
+        )));
+    }
+    let scene = match &args.scene {
+        None => None,
+        Some(_) if args.why.is_none() && pvs.region().is_none() => {
+            return Err(Error::usage(
+                "--scene is for --why, and to check a point in a result whose viewpoints walls enclose; \
+                 leave it out"
+                    .to_owned(),
+            ));
+        }
+        Some(path) => Some(scene_of(
+            path,
+            &args.kinds,
+            NamedResult::new(&pvs, &args.result.result),
+        )?),
+    };
+    check_region(&pvs, args, scene.as_deref())?;
+    if let Some(target) = target {
+        return sees(&pvs, cell, &target, json);
+    }
+    if let Some(what) = &args.why {
+        let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+        let middle = std::array::from_fn(|axis| f32::midpoint(min[axis], max[axis]));
+        let question = Question {
+            pvs: &pvs,
+            result: &args.result.result,
+            cell,
+            what,
+            scene,
+            eye: args.point.as_slice().try_into().unwrap_or(middle),
+            picture: args.picture.as_deref(),
+        };
+        return query_why::why(&question, json);
+    }
+    set(&pvs, cell, args, json)
+}
+
+/// Refuses a point outside the region that holds all viewpoints, or says that it was not checked.
+fn check_region(pvs: &Pvs, args: &QueryArgs, scene: Option<&Scene>) -> Result<(), Error> {
+    let (Some(_), Ok(point)) = (pvs.region(), <[f32; 3]>::try_from(args.point.as_slice())) else {
+        return Ok(());
+    };
+    let result = &args.result.result;
+    let Some(scene) = scene else {
+        say(
+            "note: the sets hold for viewpoints that walls enclose (--reachable-from); with --scene SCENE it \
+             is checked whether this is one",
+        );
+        return Ok(());
+    };
+    let region = region_of_result(NamedResult::new(pvs, result), scene)?;
+    match region.is_none_or(|region| region.holds(point.into())) {
+        true => Ok(()),
+        false => Err(Error::input(format!(
+            "no viewpoint can be at {point:?}: it is outside the walls around the points of \
+             --reachable-from; choose another point, or bake without --reachable-from"
+        ))),
+    }
+}
+
+/// The cell of a point.
+fn cell_of(pvs: &Pvs, args: &QueryArgs, point: &[f32]) -> Result<u32, Error> {
+    let point: [f32; 3] = point
+        .try_into()
+        .map_err(|_| Error::usage("give a point as three numbers X Y Z".to_owned()))?;
+    pvs.find_cell(point).ok_or_else(|| {
+        let [min, max] = pvs.tree().view_box();
+        Error::input(format!(
+            "{point:?} is outside the view box of {} ({min:?} to {max:?}); choose a point inside, or bake \
+             with a larger --view-box",
+            args.result.result.display()
+        ))
+    })
+}
+
+/// What a cell may see.
+enum Target {
+    Cell(u32),
+    Box([f32; 3], [f32; 3]),
+}
+
+fn target(pvs: &Pvs, args: &QueryArgs, to: Option<u32>) -> Result<Option<Target>, Error> {
+    Ok(match (args.sees.is_empty(), args.to_box, to) {
+        (false, ..) => Some(Target::Cell(cell_of(pvs, args, &args.sees)?)),
+        (true, Some(b), _) => Some(Target::Box(b.min.to_array(), b.max.to_array())),
+        (true, None, Some(cell)) if cell < pvs.cells() => Some(Target::Cell(cell)),
+        (true, None, Some(cell)) => {
+            return Err(PvsError::NoCell {
+                cell,
+                cells: pvs.cells(),
+            }
+            .into());
+        }
+        (true, None, None) => None,
+    })
+}
+
+/// Prints whether a cell sees a cell or a box.
+fn sees(pvs: &Pvs, cell: u32, target: &Target, json: bool) -> Result<(), Error> {
+    let (seen, mut answer, words): (bool, Value, String) = match target {
+        Target::Cell(to) => {
+            let pairs = pvs.cell_pairs()?.ok_or(PvsError::NoPairs)?;
+            let open = pairs.undecided.as_ref().is_some_and(|u| u.has(cell, *to));
+            let seen = pvs.sees(cell, *to)?;
+            let state = match (seen, open, pvs.method()) {
+                (_, true, _) => "undecided",
+                (true, false, _) => "visible",
+                (false, false, "aggressive") => "not seen",
+                (false, false, _) => "hidden",
+            };
+            (
+                seen,
+                json!({"to_cell": to, "state": state}),
+                format!("cell {to} ({state})"),
+            )
+        }
+        Target::Box(min, max) => {
+            let seen = pvs.sees_box(cell, *min, *max)?;
+            (
+                seen,
+                json!({"box": {"min": min, "max": max}}),
+                format!("the box {min:?} to {max:?}"),
+            )
+        }
+    };
+    answer["cell"] = cell.into();
+    answer["sees"] = seen.into();
+    if json {
+        return print(&answer.to_string());
+    }
+    print(&format!(
+        "cell {cell} {} {words}",
+        if seen { "sees" } else { "does not see" }
+    ))
+}
+
+/// Prints the set of a cell.
+fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> {
+    if args.items == Items::Clusters && pvs.granularity() != Granularity::Clusters {
+        return Err(Error::input(
+            "the sets name no clusters; bake with --granularity clusters".to_owned(),
+        ));
+    }
+    let [visible, undecided] = sets(pvs, cell, args.items)?;
+    let set_aside = pvs.is_set_aside(cell)?;
+    if json {
+        let [min, max] = corners(pvs, cell);
+        let items = args.items.name();
+        return print_json(&Answer {
+            cell,
+            min,
+            max,
+            items,
+            visible,
+            undecided,
+            set_aside,
+        });
+    }
+    let [min, max] = pvs.cell_bounds(cell).unwrap_or_default();
+    let aside = if set_aside {
+        "; SET ASIDE: this cell failed, everything is shown"
+    } else {
+        ""
+    };
+    let what = args.items.name().trim_end_matches('s');
+    print_with(|out| {
+        writeln!(
+            out,
+            "cell {cell}, {min:?} to {max:?}: {} {}{}{aside}",
+            plural(visible.count(), what),
+            if args.items == Items::Cells {
+                "that it sees"
+            } else {
+                "to draw"
+            },
+            match undecided.count() {
+                0 => String::new(),
+                n => format!(": {} visible, {n} undecided", visible.count() - n),
+            },
+        )?;
+        for (k, id) in visible.iter().enumerate() {
+            match args.items {
+                Items::Objects if k > 0 => writeln!(out)?,
+                _ if k > 0 => write!(out, " ")?,
+                _ => {}
+            }
+            match args.items {
+                Items::Objects => write!(
+                    out,
+                    "{id} {}",
+                    printable::name(&pvs.objects()[id as usize].name)
+                )?,
+                _ => write!(out, "{id}")?,
+            }
+        }
+        writeln!(out)
+    })
+}
+
+/// The set of a cell as JSON.
+#[derive(Serialize)]
+struct Answer {
+    cell: u32,
+    min: [f64; 3],
+    max: [f64; 3],
+    items: &'static str,
+    visible: Ids,
+    undecided: Ids,
+    set_aside: bool,
+}

@@ -1,0 +1,251 @@
+//! Exhausted memory, threads and descriptors: a command that runs out of them ends with exit code 1 and a
+//! sentence.
+//!
+//! Stable Rust ends a process whose allocation fails with `abort`, and panics where the system gives no
+//! further thread. The program's allocator remembers a failed allocation, so that the handler of SIGABRT can
+//! tell this end from others. Callers that handle a failed allocation themselves (`try_reserve`) continue.
+//! Panics and errors are recognised by the numbers that the standard library writes into their texts, because
+//! the crates below pass the errors of the system on as text.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::any::Any;
+use std::cell::Cell;
+use std::io::{Write as _, stderr};
+use std::panic::PanicHookInfo;
+
+/// The allocator of the program: the system's, which remembers on each thread that an allocation failed.
+#[derive(Debug)]
+pub struct Allocator;
+
+thread_local! {
+    /// True once an allocation of this thread has failed, or a panic for lack of memory has begun. Later
+    /// allocations do not reset it: between the failed one and `abort`, the standard library may print a
+    /// backtrace, which allocates.
+    static HAS_FAILED: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Records a failed allocation.
+fn noted(pointer: *mut u8) -> *mut u8 {
+    if pointer.is_null() {
+        HAS_FAILED.set(true);
+    }
+    pointer
+}
+
+#[allow(unsafe_code, reason = "an allocator is unsafe")]
+// SAFETY: all calls go to the system's allocator unchanged, and its pointers come back unchanged.
+unsafe impl GlobalAlloc for Allocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.alloc(layout) })
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.alloc_zeroed(layout) })
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        noted(unsafe { System.realloc(pointer, layout, bytes) })
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+/// Ends the process with exit code 1 and a sentence where an allocation fails, and prints a sentence where
+/// the system gives no further thread. Call it before the first thread starts.
+pub fn watch() {
+    #[cfg(unix)]
+    abort::watch();
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic: &PanicHookInfo<'_>| {
+        match Exhausted::in_panic(panic.payload()) {
+            // A progress bar may be locked by the code that panics. The write fails only when stderr is
+            // closed.
+            Some(what) => {
+                drop(writeln!(
+                    stderr(),
+                    "error: {}; {}",
+                    what.sentence(),
+                    what.remedy()
+                ));
+                // Unwinding needs memory, too. Where it cannot begin, the panic ends in `abort`.
+                if what == Exhausted::Memory {
+                    HAS_FAILED.set(true);
+                }
+                // Other threads may wait for ever for the thread that could not start.
+                #[cfg(unix)]
+                if what == Exhausted::Threads {
+                    abort::end();
+                }
+            }
+            None => usual(panic),
+        }
+    }));
+}
+
+/// A resource of the system of which a process has no more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exhausted {
+    /// Memory.
+    Memory,
+    /// Threads, or the memory for their stacks.
+    Threads,
+    /// File descriptors.
+    Files,
+}
+
+impl Exhausted {
+    /// Finds the resource that the text of an error names; `None` for other errors.
+    pub fn in_error(text: &str) -> Option<Self> {
+        // The numbers of the system as errors display and debug them: EMFILE and ENFILE, ENOMEM, and EAGAIN
+        // of Linux and macOS.
+        let has = |numbers: &[u32]| {
+            numbers.iter().any(|n| {
+                text.contains(&format!("(os error {n})")) || text.contains(&format!("code: {n},"))
+            })
+        };
+        let is_thread = text.contains("thread") || text.contains("ThreadPool");
+        // The loader of libraries reports no numbers.
+        if has(&[24, 23]) || text.contains("Too many open files") {
+            Some(Self::Files)
+        } else if is_thread && has(&[11, 35, 12]) {
+            Some(Self::Threads)
+        } else if has(&[12])
+            || [
+                "out of memory",
+                "not enough memory",
+                "Cannot allocate memory",
+            ]
+            .iter()
+            .any(|t| text.contains(t))
+        {
+            Some(Self::Memory)
+        } else {
+            None
+        }
+    }
+
+    /// Finds the resource that the payload of a panic names.
+    pub fn in_panic(payload: &(dyn Any + Send)) -> Option<Self> {
+        let text = payload.downcast_ref::<String>().map(String::as_str);
+        text.or_else(|| payload.downcast_ref::<&str>().copied())
+            .and_then(Self::in_error)
+    }
+
+    fn sentence(self) -> &'static str {
+        match self {
+            Self::Memory => "the system has no memory left for this process",
+            Self::Threads => "the system gives this process no further thread",
+            Self::Files => "this process has too many open files",
+        }
+    }
+
+    /// Returns the remedy.
+    pub fn remedy(self) -> &'static str {
+        match self {
+            Self::Memory => {
+                "give the process more memory (ulimit -v), or a smaller scene or result"
+            }
+            Self::Threads => {
+                "raise the limits of processes and memory (ulimit -u and ulimit -v), or use fewer threads"
+            }
+            Self::Files => "raise the limit of open files (ulimit -n)",
+        }
+    }
+}
+
+#[cfg(unix)]
+mod abort {
+    //! The end of the process in a handler of SIGABRT, and where a thread cannot start.
+
+    use crate::terminal::exhaustion::HAS_FAILED;
+
+    const SENTENCE: &[u8] =
+        b"error: the system has no memory left for this process; give it more memory \
+        (ulimit -v), use fewer threads, or a smaller scene or result\n";
+
+    /// Writes the sentence and ends the process if an allocation of this thread has failed. Otherwise it
+    /// returns, and `abort` ends the process.
+    extern "C" fn on_abort(_: libc::c_int) {
+        if !HAS_FAILED.get() {
+            return;
+        }
+        #[allow(
+            unsafe_code,
+            reason = "a handler of signals may call these functions of C and no others"
+        )]
+        // SAFETY: the bytes outlive the call, and both functions may be called in a handler.
+        unsafe {
+            // Fails only when stderr is closed; then the error cannot be shown either.
+            let _ = libc::write(
+                libc::STDERR_FILENO,
+                SENTENCE.as_ptr().cast(),
+                SENTENCE.len(),
+            );
+            libc::_exit(1);
+        }
+    }
+
+    /// Ends the process with exit code 1.
+    pub(super) fn end() -> ! {
+        #[allow(
+            unsafe_code,
+            reason = "the standard library's exit runs handlers, which may need threads"
+        )]
+        // SAFETY: the function has no preconditions.
+        unsafe {
+            libc::_exit(1);
+        }
+    }
+
+    /// Installs the handler.
+    pub(super) fn watch() {
+        let handler = on_abort as extern "C" fn(libc::c_int);
+        #[allow(unsafe_code, reason = "a handler of signals is set by a function of C")]
+        // SAFETY: the handler only calls functions that are allowed in handlers, and reads a thread-local
+        // variable that needs no initialisation.
+        unsafe {
+            libc::signal(libc::SIGABRT, handler as libc::sighandler_t);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Error, ErrorKind};
+
+    use super::*;
+
+    #[test]
+    fn error_texts_name_exhausted_resource() {
+        let of = |number| Error::from_raw_os_error(number);
+        let in_error =
+            |error: Error| Exhausted::in_error(&format!("a.pvs cannot be read: {error}"));
+        assert_eq!(in_error(of(24)), Some(Exhausted::Files));
+        assert_eq!(in_error(of(23)), Some(Exhausted::Files));
+        assert_eq!(in_error(of(12)), Some(Exhausted::Memory));
+        assert_eq!(
+            in_error(ErrorKind::OutOfMemory.into()),
+            Some(Exhausted::Memory)
+        );
+        assert_eq!(in_error(of(2)), None);
+        // A socket without data reports the same number as a thread that cannot start.
+        assert_eq!(in_error(of(11)), None);
+        for panic in [
+            format!("failed to spawn thread: {:?}", of(11)),
+            format!("OS can't spawn worker thread: {}", of(11)),
+            format!(
+                "The global thread pool has not been initialized.: {:?}",
+                of(12)
+            ),
+        ] {
+            let payload: Box<dyn Any + Send> = Box::new(panic);
+            assert_eq!(Exhausted::in_panic(&*payload), Some(Exhausted::Threads));
+        }
+    }
+}

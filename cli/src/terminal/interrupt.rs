@@ -1,0 +1,69 @@
+//! Ctrl-C and SIGTERM.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::terminal::stderr::say;
+
+/// True from the first signal on.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+/// True if the second signal ends the process.
+static ENDS_AT_SECOND: AtomicBool = AtomicBool::new(false);
+
+/// Returns true if Ctrl-C or SIGTERM came since the first call of this function. Before that call, a signal
+/// ends the process in the ordinary way, because no work would react to it.
+pub fn is_interrupted() -> bool {
+    static WATCH: OnceLock<bool> = OnceLock::new();
+    WATCH.get_or_init(|| {
+        let thread = std::thread::Builder::new().name("interrupt".to_owned());
+        // Without the thread, signals end the process in the ordinary way.
+        thread.spawn(watch).is_ok()
+    });
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Lets the second signal end the process, for a command that keeps no temporary file.
+pub fn end_at_second() {
+    ENDS_AT_SECOND.store(true, Ordering::Relaxed);
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "only commands without temporary files let the second signal end the process"
+)]
+fn watch() {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build();
+    let Ok(runtime) = runtime else {
+        return;
+    };
+    runtime.block_on(async {
+        stop_signal().await;
+        INTERRUPTED.store(true, Ordering::Relaxed);
+        if ENDS_AT_SECOND.load(Ordering::Relaxed) {
+            say("interrupted: finishing the claims in progress; interrupt again to stop at once");
+            stop_signal().await;
+            std::process::exit(130);
+        }
+        // Later signals have no further effect.
+        std::future::pending::<()>().await;
+    });
+}
+
+/// Resolves at the next SIGTERM or Ctrl-C.
+pub async fn stop_signal() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut term) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                _ = term.recv() => {}
+                _ = tokio::signal::ctrl_c() => {}
+            }
+            return;
+        }
+    }
+    // Ctrl-C can be caught even where SIGTERM cannot.
+    let _ = tokio::signal::ctrl_c().await;
+}

@@ -1,0 +1,211 @@
+//! The error of every function of the library: its kind, the option that is wrong, and a sentence with the
+//! reason and the remedy.
+
+use std::path::Path;
+
+use sightline_model::{OutOfRange, SpecError};
+use sightline_pvs::PvsError;
+use sightline_scene::SceneError;
+use sightline_viewcells::DivisionError;
+
+/// The kind of an error. The command maps each kind to an exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum ErrorKind {
+    /// An option, or a combination of options, that cannot be used.
+    Usage,
+    /// A file or stored data that cannot be used.
+    Input,
+    /// A coordinator that is unreachable, or that rejects a request.
+    Coordinator,
+    /// A job that ended without a result.
+    Job,
+    /// Two results that differ by more than permitted.
+    Different,
+    /// An observer that cancelled the work ([`crate::Observer::is_cancelled`]).
+    Cancelled,
+    /// A fault of the program or the machine.
+    Internal,
+}
+
+/// The error of a function of this library.
+///
+/// ```
+/// use sightline::{ErrorKind, JobOptions, LoadOptions, SceneSource, Silent, read_scene};
+///
+/// let source = SceneSource::File("absent.glb".into());
+/// let error = read_scene(&source, &LoadOptions::default(), &Silent).unwrap_err();
+/// assert_eq!(error.kind(), ErrorKind::Input);
+/// assert!(error.to_string().contains("absent.glb"));
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{text}")]
+pub struct Error {
+    kind: ErrorKind,
+    option: Option<&'static str>,
+    /// True if the scene is at fault, whose name the text lacks.
+    is_about_scene: bool,
+    text: String,
+}
+
+impl Error {
+    /// Creates an error of a kind.
+    pub fn new(kind: ErrorKind, text: impl Into<String>) -> Self {
+        Self {
+            kind,
+            option: None,
+            is_about_scene: false,
+            text: text.into(),
+        }
+    }
+
+    /// Creates an error about options.
+    pub fn usage(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Usage, text)
+    }
+
+    /// Creates an error about a file or stored data.
+    pub fn input(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Input, text)
+    }
+
+    /// Creates an error about a coordinator.
+    pub fn coordinator(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Coordinator, text)
+    }
+
+    /// Creates an error about a job that ended without a result.
+    pub fn job(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Job, text)
+    }
+
+    /// Creates an error about results that differ.
+    pub fn different(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Different, text)
+    }
+
+    /// Creates the error of cancelled work.
+    pub fn cancelled(text: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Cancelled, text)
+    }
+
+    /// Creates an error about a fault of the program or the machine.
+    pub fn internal(e: impl std::fmt::Display) -> Self {
+        Self::new(ErrorKind::Internal, e.to_string())
+    }
+
+    /// Creates the error of an output file that cannot be written.
+    pub fn writing(path: &Path, e: &std::io::Error) -> Self {
+        Self::internal(format!(
+            "{} cannot be written: {e}; check the folder and the space left",
+            path.display()
+        ))
+    }
+
+    /// Returns the error with the option that it is about, a field of [`crate::JobOptions`].
+    pub fn about(self, option: &'static str) -> Self {
+        Self {
+            option: Some(option),
+            ..self
+        }
+    }
+
+    /// Creates an error about a scene whose file is unknown here.
+    pub(crate) fn scene(text: impl Into<String>) -> Self {
+        Self {
+            is_about_scene: true,
+            ..Self::input(text)
+        }
+    }
+
+    /// Returns the error with the name of the scene, if it is about the scene.
+    #[must_use]
+    pub fn naming_scene(self, path: &Path) -> Self {
+        match self.is_about_scene {
+            true => Self {
+                is_about_scene: false,
+                text: format!("{}: {}", path.display(), self.text),
+                ..self
+            },
+            false => self,
+        }
+    }
+
+    /// Returns the kind.
+    pub fn kind(&self) -> ErrorKind {
+        self.kind
+    }
+
+    /// Returns the option that the error is about, as the command line spells it, without dashes.
+    pub fn option(&self) -> Option<&'static str> {
+        self.option
+    }
+
+    /// Replaces the text of cancelled work; other errors stay.
+    pub(crate) fn or_cancelled(self, text: impl FnOnce() -> String) -> Self {
+        match self.kind {
+            ErrorKind::Cancelled => Self::cancelled(text()),
+            _ => self,
+        }
+    }
+
+    /// Converts a gRPC status: an answer of the coordinator, or an error of the connection to it.
+    pub fn status(s: &tonic::Status) -> Self {
+        if let Some(reason) = sightline_proto::connecting::broken(s) {
+            return Self::coordinator(format!(
+                "the connection to the coordinator failed ({reason}); submitted jobs continue there, and \
+                 the same command connects again"
+            ));
+        }
+        match s.code() {
+            tonic::Code::InvalidArgument => Self::input(s.message()),
+            tonic::Code::DataLoss => Self::internal(s.message()),
+            code if s.message().is_empty() => Self::coordinator(format!("{ANSWERED}: {code}")),
+            _ => Self::coordinator(format!("{ANSWERED}: {}", s.message())),
+        }
+    }
+
+    /// Returns true if the coordinator has reported the error, and not the connection to it.
+    pub fn is_answer_of_coordinator(&self) -> bool {
+        self.kind == ErrorKind::Coordinator && self.text.starts_with(ANSWERED)
+    }
+}
+
+/// The first words of an error that the coordinator has reported.
+const ANSWERED: &str = "the coordinator answered";
+
+impl From<SceneError> for Error {
+    fn from(e: SceneError) -> Self {
+        Self::input(e.to_string())
+    }
+}
+
+impl From<PvsError> for Error {
+    fn from(e: PvsError) -> Self {
+        match e {
+            PvsError::Memory { .. } => Self::internal(e),
+            e => Self::input(e.to_string()),
+        }
+    }
+}
+
+impl From<OutOfRange> for Error {
+    fn from(e: OutOfRange) -> Self {
+        Self::usage(e.to_string()).about(e.option)
+    }
+}
+
+impl From<SpecError> for Error {
+    fn from(e: SpecError) -> Self {
+        let error = Self::usage(e.to_string());
+        match e.option() {
+            Some(option) => error.about(option),
+            None => error,
+        }
+    }
+}
+
+impl From<DivisionError> for Error {
+    fn from(e: DivisionError) -> Self {
+        SpecError::from(e).into()
+    }
+}

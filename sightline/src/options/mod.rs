@@ -1,0 +1,17 @@
+//! The options of a bake, which become a job: one field for each option, for the command, Python and
+//! programs.
+
+#[cfg(feature = "clap")]
+pub mod arguments;
+mod cell_maker;
+mod cells;
+mod job_options;
+mod names;
+mod resolve;
+pub mod text;
+mod unused;
+mod viewpoints;
+
+pub use self::cells::{Cells, parse_cells};
+pub use self::job_options::{CubeOptions, JobOptions};
+pub use self::viewpoints::ViewpointOptions;

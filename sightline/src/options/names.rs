@@ -1,0 +1,77 @@
+//! The names of the options, as the command line spells them.
+
+/// The names of all options, without dashes.
+const NAMES: [&str; 33] = [
+    "method",
+    "certificates",
+    "cells",
+    "cell-size",
+    "triangle-budget",
+    "max-depth",
+    "sampler",
+    "target-error",
+    "max-error",
+    "time-budget",
+    "block-cells",
+    "rays",
+    "granularity",
+    "min-share",
+    "contributions",
+    "far",
+    "cell-to-cell",
+    "view-box",
+    "view-mesh",
+    "eye-heights",
+    "viewpoints",
+    "reach",
+    "reachable-from",
+    "up",
+    "resolution",
+    "error-threshold",
+    "interior-threshold",
+    "error-measure",
+    "min-distance",
+    "no-solids",
+    "superset",
+    "backend",
+    "seed",
+];
+
+/// Finds the option that has this name in JSON.
+pub(super) fn option_named(json: &str) -> Option<&'static str> {
+    NAMES
+        .into_iter()
+        .find(|option| option.replace('-', "_") == json)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::options::JobOptions;
+
+    #[test]
+    fn every_field_has_a_name() {
+        let fields = serde_json::to_value(JobOptions::default()).unwrap();
+        let fields = fields.as_object().unwrap();
+        assert_eq!(fields.len(), NAMES.len());
+        for field in fields.keys() {
+            assert!(option_named(field).is_some(), "{field}");
+        }
+    }
+
+    #[test]
+    fn wrong_options_are_named() {
+        for (json, option) in [
+            (serde_json::json!({"cells": [8, 8]}), Some("cells")),
+            (serde_json::json!({"method": "guess"}), Some("method")),
+            (
+                serde_json::json!({"time_budget": "soon"}),
+                Some("time-budget"),
+            ),
+            (serde_json::json!({"seeds": 1}), None),
+        ] {
+            let error = JobOptions::from_json(&json).unwrap_err();
+            assert_eq!(error.option(), option, "{error}");
+        }
+    }
+}

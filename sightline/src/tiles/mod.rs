@@ -1,0 +1,30 @@
+//! Bakes without a coordinator: `plan` writes a job, its scene and its plan into a folder, `run_tile`
+//! computes one tile there, and `assemble` joins them. Every process that sees the folder can compute tiles,
+//! in any order that their dependencies allow; two processes that compute the same tile write the same file.
+//!
+//! ```no_run
+//! use sightline::{JobOptions, LoadOptions, SceneSource, Silent, tiles};
+//!
+//! let source = SceneSource::File("level.glb".into());
+//! let scene = sightline::read_scene(&source, &LoadOptions::default(), &Silent)?;
+//! let job = JobOptions::default().resolve(&scene, &Silent)?;
+//! let planned = tiles::plan(&scene, &job, "plan", &Silent)?;
+//! // The tiles of grids and boxes need no other tiles, so that any order serves.
+//! for number in 0..planned.tiles {
+//!     tiles::run_tile("plan", number, &Silent)?;
+//! }
+//! tiles::assemble("plan", "level.pvs".as_ref())?;
+//! # Ok::<(), sightline::Error>(())
+//! ```
+
+mod assemble;
+mod place;
+mod plan;
+mod planned;
+mod run;
+mod tile_file;
+
+pub use self::assemble::{Assembled, assemble};
+pub use self::plan::{Planned, plan};
+pub use self::planned::{PlanFile, PlanTile};
+pub use self::run::{TileReport, run_tile};

@@ -1,0 +1,54 @@
+//! The collector of traces to which a process sends the spans of its jobs.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use sightline_traces::{Settings, Traces, TracesError};
+
+use crate::error::Error;
+
+/// The collector of traces. By default there is none, and no span is sent.
+///
+/// ```
+/// use sightline::TraceOptions;
+///
+/// let traces = TraceOptions::default().start("my-tool", "host-1")?;
+/// # Ok::<(), sightline::Error>(())
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TraceOptions {
+    /// The address of the collector, which speaks OTLP over gRPC, such as http://127.0.0.1:4317.
+    pub url: Option<String>,
+    /// The authority of the collector's certificate, as PEM. Default: the
+    /// authorities of the system.
+    pub ca: Option<PathBuf>,
+}
+
+impl TraceOptions {
+    /// Begins to send, if there is a collector. `name` is the name of this process of the service.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] for text that is not an address, [`crate::ErrorKind::Input`] for a file
+    /// that cannot be read.
+    pub fn start(&self, service: &'static str, name: &str) -> Result<Traces, Error> {
+        let Some(url) = self.url.as_ref().filter(|url| !url.is_empty()) else {
+            return Ok(Traces::default());
+        };
+        let read = |path: &PathBuf| {
+            std::fs::read(path)
+                .map_err(|e| Error::input(format!("{}: cannot be read: {e}", path.display())))
+        };
+        let ca = self.ca.as_ref().filter(|path| !path.as_os_str().is_empty());
+        let settings = Settings {
+            url: url.clone(),
+            ca: ca.map(read).transpose()?,
+            service,
+            instance: name.to_owned(),
+        };
+        Traces::start(settings).map_err(|e| match e {
+            TracesError::Address { .. } => Error::usage(format!("--traces: {e}")).about("traces"),
+            TracesError::System(_) => Error::internal(e),
+        })
+    }
+}

@@ -1,0 +1,143 @@
+//! The walls around the points of --reachable-from: the region that they enclose, or the way out of it.
+
+use std::time::{Duration, Instant};
+
+use sightline_model::job::json::find_field;
+use sightline_portals::{
+    Enclosure, Face, LeafId, Limits, Reached, Tree, enclose, reached, region_of,
+};
+use sightline_scene::Scene;
+use sightline_viewcells::Region;
+
+use crate::error::Error;
+use crate::observer::{Observer, note};
+use crate::result::NamedResult;
+use crate::words::plural;
+
+/// Time between two lines about the search.
+const TELL_EVERY: Duration = Duration::from_secs(5);
+
+/// What is known about the walls around some points.
+pub struct Walls {
+    /// The scene divided along its walls.
+    pub tree: Tree,
+    /// The leaves that the points reach, ascending.
+    pub reached: Vec<LeafId>,
+    /// Whether the walls enclose the points.
+    pub enclosure: Enclosure,
+}
+
+impl Walls {
+    /// Divides a scene until it is known whether walls enclose the points.
+    pub fn around(scene: &Scene, points: &[[f32; 3]], observer: &dyn Observer) -> Self {
+        let mut tree = Tree::new(scene, points);
+        let enclosure = refine(&mut tree, points, observer);
+        let reached = reached(&tree, points);
+        Self {
+            tree,
+            reached,
+            enclosure,
+        }
+    }
+
+    /// Whether a way leads out.
+    pub fn is_open(&self) -> bool {
+        matches!(self.enclosure, Enclosure::Leak(..))
+    }
+
+    /// The enclosed region; `None` when there is a way out.
+    pub fn region(&self) -> Result<Option<Region>, Error> {
+        if self.enclosure != Enclosure::Closed {
+            return Ok(None);
+        }
+        region_of(&self.tree, &self.reached)
+            .map(Some)
+            .map_err(Error::internal)
+    }
+
+    /// What was found, in a sentence.
+    pub fn in_words(&self) -> String {
+        let leaves = plural(self.reached.len(), "convex part");
+        match &self.enclosure {
+            Enclosure::Closed => {
+                format!(
+                    "walls enclose the points of --reachable-from: {leaves} of space between them"
+                )
+            }
+            Enclosure::Leak(..) => {
+                let narrowest = self.narrowest().map_or_else(String::new, |face| {
+                    let at = face.middle();
+                    format!(
+                        "; its narrowest opening, {} wide, is at ({}, {}, {})",
+                        short(face.width()),
+                        short(at.x),
+                        short(at.y),
+                        short(at.z)
+                    )
+                });
+                format!(
+                    "no walls enclose the points of --reachable-from: a way leads out of the scene{narrowest}"
+                )
+            }
+            Enclosure::Unknown | Enclosure::Stopped => format!(
+                "it is not known whether walls enclose the points of --reachable-from: the scene has too \
+                 many, and the search ended after {} parts of space",
+                self.tree.len()
+            ),
+        }
+    }
+
+    /// The narrowest opening of the way out that was found.
+    pub fn narrowest(&self) -> Option<&Face> {
+        let Enclosure::Leak(_, portals) = &self.enclosure else {
+            return None;
+        };
+        let faces = portals.iter().map(|p| &self.tree.portal(*p).face);
+        faces.min_by(|a, b| a.width().total_cmp(&b.width()))
+    }
+}
+
+/// Divides a tree further, until it is known whether walls enclose the points.
+pub fn refine(tree: &mut Tree, points: &[[f32; 3]], observer: &dyn Observer) -> Enclosure {
+    let limits = Limits::default();
+    let mut told = Instant::now();
+    enclose(tree, points, limits, &mut |leaves| {
+        if told.elapsed() >= TELL_EVERY {
+            told = Instant::now();
+            let most = limits.leaves;
+            let text = format!("looking for walls: {leaves} parts of space so far, at most {most}");
+            note(observer, text);
+        }
+        true
+    })
+}
+
+/// A number with few digits; a very small one with its power of ten.
+fn short(x: f64) -> String {
+    if x != 0.0 && x.abs() < 1e-3 {
+        return format!("{x:.2e}");
+    }
+    let text = format!("{x:.4}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// Returns the scene of a result whose cells are open boxes, of which walls in faces block.
+pub fn walls_of<'a>(result: NamedResult<'_>, scene: &'a Scene) -> Option<&'a Scene> {
+    find_field(&result.info()["spec"], "boxes")
+        .is_some()
+        .then_some(scene)
+}
+
+/// Returns the region that holds all viewpoints of a result, with the planes of its scene.
+///
+/// # Errors
+/// [`crate::ErrorKind::Input`] for a region that cannot be decoded.
+pub fn region_of_result(result: NamedResult<'_>, scene: &Scene) -> Result<Option<Reached>, Error> {
+    let Some(bytes) = result.pvs.region() else {
+        return Ok(None);
+    };
+    let region = Region::decode(bytes).map_err(|e| result.error(e))?;
+    Reached::new(&region, scene)
+        .map(Some)
+        .map_err(|e| result.error(e))
+}

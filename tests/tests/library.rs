@@ -1,0 +1,116 @@
+//! The examples of the library on small scenes, and the same bytes from library and command.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use sightline::{Error, ErrorKind, MeasureReport, Observer};
+use sightline_tests::Sandbox;
+
+#[path = "../../sightline/examples/bake.rs"]
+#[allow(dead_code, reason = "the example's main function")]
+mod bake;
+
+#[path = "../../sightline/examples/check.rs"]
+#[allow(dead_code, reason = "the example's main function")]
+mod check;
+
+#[path = "../../sightline/examples/submit.rs"]
+#[allow(dead_code, reason = "the example's main function")]
+mod submit;
+
+#[path = "../../sightline/examples/tiles.rs"]
+#[allow(dead_code, reason = "the example's main function")]
+mod tiles;
+
+/// Generates a scene of 400 triangles.
+fn rooms() -> Sandbox {
+    let sandbox = Sandbox::new();
+    sandbox.ok("generate rooms --triangles 400 -o rooms.glb");
+    sandbox
+}
+
+#[test]
+fn examples_bake_bytes_of_command() {
+    let sandbox = rooms();
+    let path = |name: &str| sandbox.path(name);
+    sandbox.ok("bake rooms.glb --cells 4x2x4 --backend cpu -o command.pvs --data-dir command");
+    let expected = sandbox.read("command.pvs");
+
+    let coordinator = sandbox.coordinator("farm", "127.0.0.1:0");
+    let _worker = coordinator.worker();
+    let job = submit::bake_at(&coordinator.url, &path("rooms.glb"), &path("farm.pvs")).unwrap();
+    assert_eq!(
+        (job.state_name(), job.message().name.as_str()),
+        ("done", "example")
+    );
+    assert!(
+        sandbox.read("farm.pvs") == expected,
+        "the farm's bytes differ"
+    );
+
+    sandbox.ok(
+        "bake rooms.glb --cells 4x2x4 --block-cells 8 --backend cpu -o blocks.pvs --data-dir command",
+    );
+    let folder = path("plan").display().to_string();
+    let count = tiles::bake_in_tiles(&path("rooms.glb"), &folder, &path("tiles.pvs")).unwrap();
+    assert_eq!(count, 4);
+    assert!(
+        sandbox.read("tiles.pvs") == sandbox.read("blocks.pvs"),
+        "the tiles' bytes differ"
+    );
+}
+
+#[test]
+fn example_measures_verifies_and_explains() {
+    let sandbox = rooms();
+    sandbox.ok(
+        "bake rooms.glb --cells 2x1x1 --backend cpu --method exact --certificates -o rooms.pvs \
+         --data-dir data",
+    );
+    let checked =
+        check::check_files(&sandbox.path("rooms.glb"), &sandbox.path("rooms.pvs")).unwrap();
+    assert!(checked.verdict.is_accepted(), "{}", checked.verdict);
+    let MeasureReport::Frames(frames) = checked.report else {
+        unreachable!("frames were asked for");
+    };
+    assert_eq!((frames.report.frames, frames.report.max_error), (20, 0.0));
+    let state = checked.reason["state"].as_str().unwrap();
+    assert!(["visible", "hidden"].contains(&state), "{}", checked.reason);
+}
+
+/// An observer that cancels at once.
+struct Cancels;
+
+impl Observer for Cancels {
+    fn is_cancelled(&self) -> bool {
+        true
+    }
+}
+
+#[test]
+fn observer_cancels_bake_that_continues_later() {
+    let sandbox = rooms();
+    let local = sightline::Local {
+        data_dir: Some(sandbox.path("data")),
+        ..Default::default()
+    };
+    let source = sightline::SceneSource::File(sandbox.path("rooms.glb"));
+    let scene = sightline::read_scene(&source, &Default::default(), &sightline::Silent).unwrap();
+    let options = sightline::JobOptions {
+        cells: Some(sightline::Cells::Grid([16, 8, 16])),
+        max_error: Some(1e-4),
+        ..Default::default()
+    };
+    let job = options.resolve(&scene, &sightline::Silent).unwrap();
+    let error: Error = sightline::bake(&scene, &job, &local, &Cancels).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Cancelled);
+    assert!(error.to_string().contains("data"), "{error}");
+    let smaller = sightline::JobOptions {
+        cells: Some(sightline::Cells::Grid([2, 1, 2])),
+        ..Default::default()
+    };
+    let job = smaller.resolve(&scene, &sightline::Silent).unwrap();
+    let first = sightline::bake(&scene, &job, &local, &sightline::Silent).unwrap();
+    let second = sightline::bake(&scene, &job, &local, &sightline::Silent).unwrap();
+    assert_eq!((first.from_store, second.from_store), (false, true));
+    assert!(first.pvs.bytes() == second.pvs.bytes());
+}
