@@ -59,7 +59,8 @@ pub struct JobOptions {
     pub cells: Option<Cells>,
     /// A regular grid of view cells with sides of at most this length, in the scene's units, instead of a
     /// number of cells.
-    #[cfg_attr(feature = "clap", arg(long, value_name = "M", value_parser = text::parse_size, allow_negative_numbers = true))]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "M"))]
+    #[cfg_attr(feature = "clap", arg(value_parser = text::parse_size, allow_negative_numbers = true))]
     pub cell_size: Option<f64>,
     /// Adaptive cells instead of a grid: halve a cell while sampling shows more than this many triangles from
     /// it. The first three levels are always halved.
@@ -101,7 +102,12 @@ pub struct JobOptions {
     /// memory for each pair of a cell and a triangle. Default: 512; fewer for large scenes and small errors;
     /// 8 for exact methods.
     #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
-    #[cfg_attr(feature = "clap", arg(value_parser = clap::value_parser!(u32).range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS))))]
+    #[cfg_attr(
+        feature = "clap",
+        arg(value_parser = clap::value_parser!(u32)
+            .range(1..=i64::from(sightline_model::MOST_BLOCK_CELLS)))
+    )]
+    #[cfg_attr(feature = "clap", arg())]
     pub block_cells: Option<u32>,
     /// Rays per cell of the sampler guided. Default: 200000.
     #[cfg_attr(feature = "clap", arg(long, value_name = "N"))]
@@ -126,7 +132,8 @@ pub struct JobOptions {
     pub contributions: bool,
     /// The distance from the viewpoint at which sight lines end, in the scene's units. Farther triangles
     /// count as not visible.
-    #[cfg_attr(feature = "clap", arg(long, value_name = "D", allow_negative_numbers = true, value_parser = text::parse_length))]
+    #[cfg_attr(feature = "clap", arg(long, value_name = "D"))]
+    #[cfg_attr(feature = "clap", arg(allow_negative_numbers = true, value_parser = text::parse_length))]
     pub far: Option<f32>,
     /// Visibility between cells (dump --items cells, query --sees). auto: with at most 512 cells; on: with at
     /// most 32768 cells. Default: auto.

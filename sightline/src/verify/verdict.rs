@@ -178,8 +178,8 @@ impl fmt::Display for CertificateReport {
             f,
             "accepted{}: {} pairs of cell and triangle in {} cells\n\
              visible: {} with a witness ({} checked), {} meet their cell ({} checked)\n\
-             hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a polygon; \
-             {} certificates ({} checked), {} bytes with the witnesses\n\
+             hidden: {} by the closed surface they belong to, {} in hidden boxes, {} alone or with a \
+             polygon; {} certificates ({} checked), {} bytes with the witnesses\n\
              neither: {} undecided, {} without area{}{}",
             self.sample
                 .map_or(String::new(), |n| format!(" by a sample of {n} pairs")),
