@@ -42,14 +42,17 @@ pack() {
   command -v cargo >/dev/null || . "$HOME/.cargo/env"
   say 'building (some minutes the first time)'
   release=$(realpath -m "${CARGO_TARGET_DIR:-target}")/release
-  cargo build --release --locked -p sightline
-  cargo build --release --locked -p sightline-sampling --examples
+  cargo build --release --locked -p sightline-cli
+  cargo build --release --locked -p sightline-trace -p sightline-sample --examples
   cp "$release"/sightline "$release"/examples/{rounds,gpu_lines} "$folder/bin/"
-  cargo test --release --locked -p sightline-sampling --no-run --message-format=json --lib "${tests[@]/#/--test=}" |
+  cargo test --release --locked -p sightline-trace -p sightline-sample --no-run --message-format=json --lib "${tests[@]/#/--test=}" |
     python3 -c 'import json, sys
 for built in map(json.loads, sys.stdin):
     if built["reason"] == "compiler-artifact" and built["executable"] and built["profile"]["test"]:
-        print("unit" if "lib" in built["target"]["kind"] else built["target"]["name"], built["executable"])' |
+        name = built["target"]["name"]
+        # Each of the two crates has unit tests; those on a device are in the first.
+        unit = {"sightline_trace": "unit", "sightline_sample": "unit_of_samplers"}
+        print(unit[name] if "lib" in built["target"]["kind"] else name, built["executable"])' |
     while read -r name path; do cp "$path" "$folder/tests/$name"; done
   # This fails where cargo has named no program for one of the tests.
   strip "$folder"/bin/* "$folder/tests/unit" "${tests[@]/#/$folder/tests/}"

@@ -162,28 +162,25 @@ for area; do
       ;;
     store | access | results | scheduler)
       case $area in
-        results) files='coordinator/src/outputs/commit.rs' ;;
-        *) files="coordinator/src/$area/**/*.rs" ;;
+        results) crate=assemble files='crates/assemble/src/check.rs' tests= ;;
+        access) crate=coordinator files='coordinator/src/access/**/*.rs' tests='access:: services::' ;;
+        store | scheduler) crate=$area files="coordinator/$area/src/**/*.rs" tests= ;;
       esac
-      mapfile -t mutants < <(drawn sightline-coordinator "$files")
+      mapfile -t mutants < <(drawn "sightline-$crate" "$files")
       [ ${#mutants[@]} -gt 0 ] || die "no mutants in $files"
       if [ -n "$list" ]; then
         printf '%s\n' "${mutants[@]}"
         continue
       fi
-      case $area in
-        store) tests='store::' ;;
-        access) tests='access:: services::' ;;
-        results) tests='outputs:: services:: tests::' ;;
-        scheduler) tests='scheduler::' ;;
-      esac
       matching < <(printf '%s\n' "${mutants[@]}")
       # Mutants that delete a field are not filtered by --re, so those of the area join its sample.
-      test_mutants "$out/$area/1" sightline-coordinator "$tests" --file "$files" "${arguments[@]}"
+      test_mutants "$out/$area/1" "sightline-$crate" "$tests" --file "$files" "${arguments[@]}"
       mapfile -t mutants < <(missed "$area")
       if [ ${#mutants[@]} -gt 0 ]; then
         matching < <(printf '%s\n' "${mutants[@]}")
-        test_mutants "$out/$area/2" sightline-coordinator '' --file "$files" "${arguments[@]}"
+        # All tests of the coordinator, which uses the other crates.
+        test_mutants "$out/$area/2" "sightline-$crate" '' --test-package sightline-coordinator --file "$files" \
+          "${arguments[@]}"
       fi
       ;;
     *) die "unknown area $area; use filters, store, access, results, scheduler or all" ;;

@@ -1,4 +1,4 @@
 //! The bodies of the fuzz targets `calls` and `journal`, which the tests run too.
 
 pub use crate::services::fuzzing::{Interface, Method, calls};
-pub use crate::store::fuzzing::journal;
+pub use sightline_store::fuzzing::journal;

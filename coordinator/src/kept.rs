@@ -5,9 +5,8 @@ use std::time::{Duration, Instant};
 
 use sightline_proto::v1;
 use sightline_pvs::Pvs;
+use sightline_records::ids::{Digest, JobId};
 use sightline_scene::Scene;
-
-use crate::ids::{Digest, JobId};
 
 /// Answers that need the scene.
 pub trait SceneQueries: Send + Sync {

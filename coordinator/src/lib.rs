@@ -29,34 +29,29 @@ pub mod clock;
 mod dispatch;
 #[doc(hidden)]
 pub mod fuzzing;
-pub mod ids;
 mod jobs;
 mod kept;
 mod lifecycle;
 mod outputs;
 mod quota;
 mod results;
-mod scheduler;
 mod services;
 mod state;
-pub mod store;
 mod telemetry;
 mod uploads;
 mod users;
 mod workers;
 
 #[cfg(test)]
-mod simulator;
-#[cfg(test)]
 mod tests;
 
 pub use kept::{Retention, SceneQueries};
 pub use lifecycle::{Config, OpenError};
 pub use quota::{Quota, QuotaError, Quotas, bytes};
-pub use scheduler::choose_profile;
 pub use services::{
     ConnectionLimits, Connections, FewDescriptors, Front, Listener, Probed, ReplicaError,
     ServeError, Tls, TlsError, TlsFiles, serve, serve_http, serve_probes,
 };
+pub use sightline_scheduler::choose_profile;
 pub use state::{Coordinator, Leases};
 pub use uploads::scenes::TakeError;

@@ -3,23 +3,24 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use sightline_records::ids::{Epoch, JobId};
+use sightline_records::{JobPhase, JobState};
+use sightline_scheduler::{Event, Job, Scheduler, Settings};
+use sightline_store::{
+    BlobError, BlobPlace, Blobs, FileBlobs, ObjectBlobs, Outcomes, SledStore, Store, StoreError,
+};
+
 use crate::blobs::ownership;
 use crate::blobs::references::KeepingError;
 use crate::clock::{Clock, SystemClock};
 use crate::dispatch::run::happened;
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Epoch, JobId};
 use crate::jobs::retention_clock::{Ages, RetentionClock};
 use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
 use crate::kept::Retention;
 use crate::quota::Quotas;
-use crate::scheduler::{Event, Job, Scheduler, Settings};
 use crate::state::{Coordinator, Leases};
-use crate::store::{
-    BlobError, BlobPlace, Blobs, FileBlobs, JobPhase, JobState, ObjectBlobs, Outcomes, SledStore,
-    Store, StoreError,
-};
 use crate::telemetry::events::{EventLog, Kind, LogEvent};
 use crate::workers::crews::Crews;
 

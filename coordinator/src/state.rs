@@ -13,19 +13,19 @@ use std::time::{Duration, Instant};
 
 use sightline_assemble::SceneSummary;
 use sightline_model::receivers::Facts;
+use sightline_records::ids::{Digest, JobId};
+use sightline_scheduler::{Now, Scheduler};
+use sightline_store::{Blobs, Store, StoreIdentity};
 use sightline_traces::Traces;
 use tokio::sync::Semaphore;
 
 use crate::access::Access;
 use crate::clock::{Clock, Moment};
 use crate::dispatch::outbox::{Scheduling, Watched};
-use crate::ids::{Digest, JobId};
 use crate::jobs::retention_clock::{Ages, FutureBlobs, RetentionClock};
 use crate::kept::{Asked, LastTrial, PartialCache, Retention, SceneQueries};
 use crate::outputs::staging::Staging;
 use crate::quota::{Budget, Intake, Quotas, RateLimiter, Turns, Usage};
-use crate::scheduler::{Now, Scheduler};
-use crate::store::{Blobs, Store, StoreIdentity};
 use crate::telemetry::events::{EventLog, LogEvent};
 use crate::telemetry::metrics::Metrics;
 use crate::telemetry::spans::Spans;

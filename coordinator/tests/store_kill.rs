@@ -13,11 +13,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use sightline_coordinator::ids::TileIndex;
-use sightline_coordinator::store::{
-    Digest, JobRecord, NewJob, SceneRecord, SledStore, Store, TileRecord, TileResult, TileState,
-    TileStats,
+use sightline_records::ids::Digest;
+use sightline_records::ids::TileIndex;
+use sightline_records::{
+    JobRecord, NewJob, SceneRecord, TileRecord, TileResult, TileState, TileStats,
 };
+use sightline_store::{SledStore, Store};
 
 const DIRECTORY: &str = "SIGHTLINE_STORE_KILL_DIRECTORY";
 const TILES: u32 = 100_000;

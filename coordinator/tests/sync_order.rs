@@ -9,7 +9,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use sightline_coordinator::store::{Blobs, FileBlobs, SledStore, Store};
+use sightline_store::{Blobs, FileBlobs, SledStore, Store};
 
 const FOLDER: &str = "SIGHTLINE_SYNC_ORDER_FOLDER";
 

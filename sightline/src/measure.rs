@@ -10,11 +10,11 @@ use sightline_measure::{
 };
 use sightline_model::TracerChoice;
 use sightline_pvs::PvsError;
-use sightline_sampling::sight::{Sight, least_step};
-use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_scene::Scene;
 use sightline_tetra::look::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
+use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_viewpoints::points::Weighted;
 
 use crate::error::Error;

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use sightline_model::{NamedValue, TracerChoice};
-use sightline_sampling::{Backend, CubeSpec};
 use sightline_scene::Scene;
+use sightline_trace::{Backend, CubeSpec};
 use sightline_worker::{Backends, TracerSelection};
 
 use crate::error::Error;

@@ -61,7 +61,8 @@ fn the_coordinator_knows_no_tracer_and_no_search() {
     for foreign in [
         "wgpu",
         "libloading",
-        "sightline-sampling",
+        "sightline-trace",
+        "sightline-sample",
         "sightline-exact",
         "sightline-bake",
     ] {
@@ -81,7 +82,8 @@ fn assembly_depends_on_no_tracer_and_no_network() {
         "tokio",
         "tonic",
         "sled",
-        "sightline-sampling",
+        "sightline-trace",
+        "sightline-sample",
         "sightline-exact",
         "sightline-bake",
         "sightline-coordinator",
@@ -91,6 +93,30 @@ fn assembly_depends_on_no_tracer_and_no_network() {
             "sightline-assemble depends on {foreign}"
         );
     }
+}
+
+#[test]
+fn the_scheduler_knows_no_store_and_no_network() {
+    let all = dependencies("sightline-scheduler");
+    for foreign in [
+        "tokio",
+        "tonic",
+        "sled",
+        "sightline-store",
+        "sightline-coordinator",
+    ] {
+        assert!(
+            !all.contains(foreign),
+            "sightline-scheduler depends on {foreign}"
+        );
+    }
+    assert!(ours("sightline-records").is_empty());
+}
+
+#[test]
+fn tracers_know_no_samplers() {
+    let all = ours("sightline-trace");
+    assert!(!all.contains(&"sightline-sample".to_owned()), "{all:?}");
 }
 
 #[test]
@@ -384,6 +410,9 @@ fn no_modules_import_each_other_in_a_circle() {
         "sightline",
         "cli",
         "coordinator",
+        "coordinator/records",
+        "coordinator/scheduler",
+        "coordinator/store",
         "http",
         "worker",
         "traces",

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::gpu::{self, AdapterChoice, GpuBackend};
-use sightline_sampling::{Backend, BackendError, CubeSpec};
 use sightline_scene::Scene;
+use sightline_trace::embree::CpuBackend;
+use sightline_trace::gpu::{self, AdapterChoice, GpuBackend};
+use sightline_trace::{Backend, BackendError, CubeSpec};
 
 /// Which backends a worker may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

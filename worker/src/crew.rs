@@ -13,10 +13,8 @@ use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::Watcher as _;
-use sightline_sampling::crew::{
-    FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader,
-};
+use sightline_sample::Watcher as _;
+use sightline_sample::crew::{FromHelper, FromLeader, Helper, Leader, Member, ToHelper, ToLeader};
 use tokio::sync::mpsc;
 use tonic::Streaming;
 

@@ -7,7 +7,7 @@
 //! use std::sync::Arc;
 //!
 //! use sightline_proto::connecting::Credentials;
-//! use sightline_sampling::gpu::AdapterChoice;
+//! use sightline_trace::gpu::AdapterChoice;
 //! use sightline_worker::{Backends, Config, ReceiverCache, SceneCache, Stop, TracerSelection};
 //!
 //! # async fn example() -> Result<(), sightline_worker::WorkerError> {

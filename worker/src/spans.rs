@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use sightline_bake::Crew;
 use sightline_proto::v1;
-use sightline_sampling::TileError;
-use sightline_sampling::crew::{ForeignFinds, Phase};
+use sightline_sample::TileError;
+use sightline_sample::crew::{ForeignFinds, Phase};
 use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
 
 use crate::config::Config;

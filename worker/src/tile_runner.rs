@@ -9,7 +9,8 @@ use sightline_model::{GridCells, JobSpec, PlannedJob, Sampler, SceneFacts, Visib
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
 use sightline_proto::v1::workers_client::WorkersClient;
-use sightline_sampling::{CubeSpec, TileError, auto, gpu};
+use sightline_sample::{TileError, auto};
+use sightline_trace::{CubeSpec, gpu};
 use sightline_traces::Begun;
 use sightline_viewcells::Division;
 

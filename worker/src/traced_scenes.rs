@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_bake::BakeScene;
-use sightline_sampling::sight::Sight;
-use sightline_sampling::{Backend, CubeSpec, Strata};
 use sightline_scene::{Scene, SceneError};
+use sightline_trace::sight::Sight;
+use sightline_trace::{Backend, CubeSpec, Strata};
 
 use crate::backends::Backends;
 
@@ -64,7 +64,7 @@ impl TracedScene {
         profile: &str,
         spec: CubeSpec,
         owner: &str,
-    ) -> Result<Arc<dyn Backend>, sightline_sampling::BackendError> {
+    ) -> Result<Arc<dyn Backend>, sightline_trace::BackendError> {
         let strata = match spec.strata {
             Strata::One => 1,
             Strata::Faces => 6,

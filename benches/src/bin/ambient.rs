@@ -15,9 +15,9 @@ use clap::Parser;
 use rayon::prelude::*;
 use sightline_ambient::{Falloff, Prepared, Receiver, Settings, Solver};
 use sightline_numbers::random::SplitMix64;
-use sightline_sampling::embree::Occlusion;
-use sightline_sampling::packet::{LANES, Packet};
 use sightline_scene::{Scene, load};
+use sightline_trace::embree::Occlusion;
+use sightline_trace::packet::{LANES, Packet};
 
 /// Exact ambient occlusion against rays.
 #[derive(Parser)]

@@ -15,13 +15,13 @@ use std::time::Instant;
 use clap::Parser;
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;
-use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::packet::{LANES, Packet};
-use sightline_sampling::{Backend as _, CubeSpec, LineSet, Strata};
 use sightline_scene::Scene;
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
 use sightline_tetra::{Engine, Mode, Quiet, Scratch, Target, Tets, View, build};
+use sightline_trace::embree::CpuBackend;
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::{Backend as _, CubeSpec, LineSet, Strata};
 
 type AnyError = Box<dyn std::error::Error + Send + Sync>;
 

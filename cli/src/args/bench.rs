@@ -3,11 +3,10 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use sightline_bench::{ERRORS, Growth, Ladder, Sampler};
-use sightline_scene::Aabb;
-
 use sightline::options::text::parse_box;
 use sightline::options::text::parse_grid;
+use sightline_bench::{ERRORS, Growth, Ladder, Sampler};
+use sightline_scene::Aabb;
 
 /// What to measure, and where to write it.
 #[derive(Args, Debug)]

@@ -3,6 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use sightline::JobOptions;
+use sightline::options::arguments::named;
+use sightline::options::text::{parse_box, parse_point};
 use sightline_model::TracerChoice;
 
 use crate::args::ambient::AmbientArgs;
@@ -20,9 +23,6 @@ use crate::args::tiles::{AssembleArgs, PlanArgs, TileArgs};
 use crate::args::token::TokenArgs;
 use crate::args::traces::TraceArgs;
 use crate::results::query_target::What;
-use sightline::JobOptions;
-use sightline::options::arguments::named;
-use sightline::options::text::{parse_box, parse_point};
 
 /// Bakes from-region visibility: for every view cell of a static triangle scene,
 /// the triangles visible from anywhere in it.
@@ -68,7 +68,7 @@ impl Cli {
         if self.serves() {
             "info"
         } else {
-            "warn,sightline_coordinator::scheduler=info"
+            "warn,sightline_coordinator::profile=info"
         }
     }
 }

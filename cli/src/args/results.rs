@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use sightline::options::arguments::named;
 use sightline_model::{TracerChoice, Up};
 
 use crate::args::kinds::KindArgs;
-use sightline::options::arguments::named;
 
 /// Compares two results cell by cell: what came into the sets, what went, in which objects, and whether
 /// sampling alone may explain it. Triangles are compared where both scenes have the same objects, else

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
+use sightline::options::arguments::named;
 use sightline_model::TracerChoice;
 
 use crate::args::remote::RemoteArgs;
 use crate::args::traces::TraceArgs;
-use sightline::options::arguments::named;
 
 /// How a line of the log looks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use sightline::JobOptions;
 
 use crate::args::kinds::KindArgs;
-use sightline::JobOptions;
 
 /// Plan a bake in a folder, for tiles that any number of processes compute without a coordinator.
 #[derive(Args, Debug)]

@@ -1,9 +1,10 @@
 //! `sightline ambient`: what the hemispheres of points, texels or vertices are free of.
 
+use sightline::Error;
+
 use crate::args::ambient::AmbientArgs;
 use crate::bake::ambient_file;
 use crate::bake::ambient_points;
-use sightline::Error;
 
 /// Answers for the points of a file, or puts the occlusion into the scene's own.
 pub fn run(args: &AmbientArgs, json: bool) -> Result<(), Error> {

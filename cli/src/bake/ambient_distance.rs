@@ -1,11 +1,11 @@
 //! The distance of `ambient`, beyond which nothing hides.
 
+use sightline::Error;
 use sightline_ambient::Falloff;
 use sightline_scene::Scene;
 
 use crate::args::ambient::AmbientArgs;
 use crate::terminal::stderr::say;
-use sightline::Error;
 
 /// The scene's diagonal by the default distance.
 const DIAGONAL_BY_DISTANCE: f64 = 20.0;

@@ -6,6 +6,13 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 use serde_json::json;
+use sightline::output::{Format, Output};
+use sightline::process::threads;
+use sightline::words::human;
+use sightline::words::plural;
+use sightline::{
+    AmbientResult, Client, Endpoint, Error, ErrorKind, Local, OrderedReceivers, Submission,
+};
 use sightline_ambient::{Prepared, Receiver, Settings, Solver};
 use sightline_texels::{Bits, Coordinates, Plan, Size, Target, Value, Written};
 
@@ -15,13 +22,6 @@ use crate::scenes::read::scene;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::output::{Format, Output};
-use sightline::process::threads;
-use sightline::words::human;
-use sightline::words::plural;
-use sightline::{
-    AmbientResult, Client, Endpoint, Error, ErrorKind, Local, OrderedReceivers, Submission,
-};
 
 /// Writes the scene's file with its occlusion.
 pub fn run(args: &AmbientArgs, path: &Path, json: bool) -> Result<(), Error> {

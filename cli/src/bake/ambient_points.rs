@@ -3,6 +3,9 @@
 use std::path::Path;
 
 use serde_json::{Map, Value, json};
+use sightline::Error;
+use sightline::process::threads;
+use sightline::words::plural;
 use sightline_ambient::{
     Answer, Light, LightLine, PointLine, Prepared, Receiver, Settings, Solver,
 };
@@ -13,9 +16,6 @@ use crate::scenes::read::scene;
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::process::threads;
-use sightline::words::plural;
 
 /// Points that are answered together. Which points are together changes answers within their bounds, so it
 /// depends on the input alone.

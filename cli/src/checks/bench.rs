@@ -1,11 +1,11 @@
 //! `sightline bench`: runs a benchmark and prints its report.
 
+use sightline::Error;
 use sightline_bench::{BenchError, Host, Options};
 
 use crate::args::bench::BenchArgs;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
 
 /// The arguments as options of the library.
 fn options(args: &BenchArgs) -> Options {

@@ -3,12 +3,15 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use sightline::Error;
+use sightline::LibraryQueries;
+use sightline::process::{default_name, runtime};
 use sightline_coordinator::access::Access;
 use sightline_coordinator::clock::SystemClock;
-use sightline_coordinator::store::{BlobPlace, MemoryBlobs, MemoryStore, PlaceError, SledStore};
 use sightline_coordinator::{
     Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError, Quotas, Tls, TlsFiles,
 };
+use sightline_store::{BlobPlace, MemoryBlobs, MemoryStore, PlaceError, SledStore};
 use sightline_traces::Traces;
 
 use crate::args::serve::CoordinatorArgs;
@@ -16,9 +19,6 @@ use crate::farm::replica::{self, Listening};
 use crate::farm::store_location::StorePlace;
 use crate::terminal::interrupt::stop_signal;
 use crate::terminal::stderr::say;
-use sightline::Error;
-use sightline::LibraryQueries;
-use sightline::process::{default_name, runtime};
 
 /// Serves as coordinator until SIGTERM or Ctrl-C.
 pub fn run(args: &CoordinatorArgs) -> Result<(), Error> {

@@ -4,16 +4,16 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use sightline_coordinator::store::{DatabaseAddress, OwnDirectory, Replica};
+use sightline::Error;
+use sightline::process::default_name;
 use sightline_coordinator::{Config, Coordinator, Front, Listener, Tls};
 use sightline_proto::connecting::Credentials;
+use sightline_store::{DatabaseAddress, OwnDirectory, Replica};
 
 use crate::args::serve::CoordinatorArgs;
 use crate::terminal::interrupt::stop_signal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::process::default_name;
 
 /// Where a coordinator listens.
 pub struct Listening {

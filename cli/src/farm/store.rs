@@ -9,10 +9,13 @@ use std::io::{BufRead as _, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::output::{Format, Output};
+use sightline::words::plural;
 use sightline_coordinator::Config;
 use sightline_coordinator::blobs::ownership::{self, Ownership};
 use sightline_coordinator::blobs::references::{self, KeepingError, Reference, Verified};
-use sightline_coordinator::store::{
+use sightline_store::{
     BlobError, Damage, Entry, JournalError, Repaired, SledStore, Store, StoreError,
 };
 
@@ -22,9 +25,6 @@ use crate::farm::store_location::StorePlace;
 use crate::farm::store_migrate::{self, Opened};
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::output::{Format, Output};
-use sightline::words::plural;
 
 const FORMAT: &str = "sightline.store";
 const VERSION: u64 = 1;

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use sightline_coordinator::store::DatabaseAddress;
+use sightline::Error;
+use sightline_store::DatabaseAddress;
 
 use crate::args::serve::StoreArgs;
 use crate::terminal::stderr::say;
-use sightline::Error;
 
 /// The variable that holds the password of the database, as for PostgreSQL's own programs.
 const PASSWORD: &str = "PGPASSWORD";

@@ -4,14 +4,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use serde_json::json;
-use sightline_coordinator::store::{DatabaseAddress, Entry, Replica, Role, SledStore, Store};
+use sightline::Error;
+use sightline::process::{default_name, runtime};
+use sightline_store::{DatabaseAddress, Entry, Replica, Role, SledStore, Store};
 
 use crate::args::store::MigrateArgs;
 use crate::farm::store_location::StorePlace;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::process::{default_name, runtime};
 
 /// How long a database may have a leader that is gone, and a little more.
 const PATIENCE: Duration = Duration::from_secs(6);

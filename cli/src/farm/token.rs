@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
+use sightline::Error;
 use sightline_coordinator::access::{Scope, Token, TokenFile, TokenLock};
 
 use crate::args::token::{TokenArgs, TokenCommand};
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
 
 /// Runs a command on the file of tokens.
 pub fn run(args: &TokenArgs, json: bool) -> Result<(), Error> {

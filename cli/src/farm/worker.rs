@@ -9,7 +9,7 @@ use sightline::process::{default_name, runtime, threads, use_threads};
 use sightline::tracers::{note_missing, selection};
 use sightline_coordinator::{ConnectionLimits, Connections, Listener, Probed};
 use sightline_model::TracerChoice;
-use sightline_sampling::gpu::{AdapterChoice, adapters};
+use sightline_trace::gpu::{AdapterChoice, adapters};
 use sightline_worker::{Backends, Moved, Pulse, SceneCache, Stop, WorkerError};
 use tokio::sync::watch;
 

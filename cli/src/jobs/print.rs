@@ -2,14 +2,14 @@
 
 use std::time::Duration;
 
+use sightline::words::human;
+use sightline::{Error, Job};
 use sightline_model::job::message::time_budget_ms;
 use sightline_proto::v1;
 use sightline_traces::TraceId;
 
 use crate::terminal::printable;
 use crate::terminal::stdout::print;
-use sightline::words::human;
-use sightline::{Error, Job};
 
 /// Prints a job with its specification.
 pub fn show_whole(job: &Job, json: bool) -> Result<(), Error> {

@@ -7,6 +7,9 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::process::threads;
+use sightline::words::human;
 use sightline_certificate::checker;
 use sightline_exact::{Cost, Limits, Occluders, Polygon, Verdict, polygon, predicates, sightlines};
 use sightline_scene::Scene;
@@ -17,9 +20,6 @@ use crate::terminal::json_lines::JsonLines;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::process::threads;
-use sightline::words::human;
 
 /// One line of the input.
 #[derive(Deserialize)]

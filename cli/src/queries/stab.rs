@@ -8,6 +8,8 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::process::threads;
 use sightline_exact::{Limits, Polygon, Source, Stabbed, Surface, Swath, antipenumbra};
 use sightline_exact::{polygon, predicates, stab};
 
@@ -15,8 +17,6 @@ use crate::args::cli::StabArgs;
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::process::threads;
 
 /// Most digits of a fraction's numerator and denominator.
 const MOST_DIGITS: usize = 80;

@@ -8,6 +8,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::output::{Format, Output};
+use sightline::words::plural;
+use sightline::{NamedResult, open};
 use sightline_pvs::{Granularity, Pvs, PvsError, runs};
 
 use crate::args::results::DiffArgs;
@@ -17,10 +21,6 @@ use crate::scenes::read::scene_of;
 use crate::terminal::printable;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::output::{Format, Output};
-use sightline::words::plural;
-use sightline::{NamedResult, open};
 
 /// Cells and objects that are listed.
 const LISTED: usize = 10;

@@ -3,12 +3,11 @@
 
 use std::path::Path;
 
+use sightline::Error;
+use sightline::output::Output;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_view::{Map, View, page};
-
-use sightline::Error;
-use sightline::output::Output;
 
 /// What came and went in a cell: its number, and how many items.
 pub struct CellChange {

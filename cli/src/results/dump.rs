@@ -7,13 +7,13 @@ use std::io::{BufWriter, Write as _};
 
 use serde::{Serialize, Serializer};
 use serde_json::{Map, Value, json};
+use sightline::Error;
+use sightline::open;
 use sightline_pvs::{Granularity, Pvs, PvsError, Relation, runs};
 
 use crate::args::cli::{DumpArgs, Items};
 use crate::results::info::Summary;
 use crate::terminal::printable;
-use sightline::Error;
-use sightline::open;
 
 /// Prints a result as JSON Lines: a header, then one line per cell.
 pub fn run(args: &DumpArgs) -> Result<(), Error> {

@@ -5,14 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::open;
+use sightline::output::{Format, Output};
 use sightline_pvs::Pvs;
 
 use crate::args::results::{ExportArgs, ExportFormat};
 use crate::results::export_gltf;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::open;
-use sightline::output::{Format, Output};
 
 /// Writes a result in another form.
 pub fn run(args: &ExportArgs, json: bool) -> Result<(), Error> {

@@ -4,15 +4,15 @@
 use std::path::Path;
 
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::NamedResult;
+use sightline::output::{Format, Output};
 use sightline_formats::gltf_edit::{Added, GltfError, GltfFile};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 
 use crate::args::kinds::KindArgs;
 use crate::scenes::read::scene_of;
-use sightline::Error;
-use sightline::NamedResult;
-use sightline::output::{Format, Output};
 
 /// The extension's name.
 const NAME: &str = "SIGHTLINE_visibility";

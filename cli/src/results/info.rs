@@ -4,6 +4,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 use serde::Serialize;
+use sightline::Error;
+use sightline::words::{kinds_in_words, plural, sides_in_words};
+use sightline::{kind_counts, open};
 use sightline_model::job::json::find_field;
 use sightline_pvs::{Granularity, Pvs, PvsError};
 
@@ -11,9 +14,6 @@ use crate::args::cli::InfoArgs;
 use crate::results::info_cells;
 use crate::terminal::printable;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::words::{kinds_in_words, plural, sides_in_words};
-use sightline::{kind_counts, open};
 
 /// The version of what `info` and `dump` print.
 const DUMP_VERSION: u32 = 1;

@@ -6,11 +6,10 @@
 use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
+use sightline::Error;
 use sightline_model::bound::{ALPHA, alpha_of, upper_bound};
 use sightline_pvs::Pvs;
 use sightline_view::{Map, each};
-
-use sightline::Error;
 
 /// Cells listed without --json.
 const SHOWN: usize = 20;

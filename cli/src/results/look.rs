@@ -2,11 +2,12 @@
 
 use std::io::Read as _;
 
+use sightline::Error;
+use sightline::output::Format;
+
 use crate::args::tetra::LookArgs;
 use crate::results::look_portals;
 use crate::results::look_tets;
-use sightline::Error;
-use sightline::output::Format;
 
 /// Looks from every point of a file, in order.
 pub fn run(args: &LookArgs) -> Result<(), Error> {

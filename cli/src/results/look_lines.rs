@@ -2,11 +2,11 @@
 
 use serde::de::DeserializeOwned;
 use serde_json::Value;
+use sightline::Error;
 
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
 
 /// An answer, and what the medians are of.
 pub struct Answer {

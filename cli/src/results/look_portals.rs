@@ -5,6 +5,8 @@ use std::time::Instant;
 
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::open;
 use sightline_pvs::{LookError, Looker, Pvs, View};
 
 use crate::args::tetra::LookArgs;
@@ -12,8 +14,6 @@ use crate::results::look_lines::{self, Answer};
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::printable;
 use crate::terminal::stderr::say;
-use sightline::Error;
-use sightline::open;
 
 /// Steps of a share of the cell's set, for the median.
 const SHARES: f64 = 1e5;

@@ -6,6 +6,8 @@ use std::time::Instant;
 use rayon::prelude::*;
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::words::plural;
 use sightline_tetra::surfaces::{BLOCKS, SHOWS};
 use sightline_tetra::{Engine, LookError, Mode, Scratch, Seen, Target, Tets, TetsError, View};
 
@@ -13,8 +15,6 @@ use crate::args::tetra::{LookArgs, LookEngine, LookMode};
 use crate::results::look_lines::{self, Answer};
 use crate::terminal::json_lines::JsonLines;
 use crate::terminal::stderr::say;
-use sightline::Error;
-use sightline::words::plural;
 
 /// The angle of modes that need one, in degrees, if none is given.
 const ANGLE: f64 = 0.2;

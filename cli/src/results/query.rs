@@ -4,6 +4,11 @@ use std::io::Write as _;
 
 use serde::Serialize;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::NamedResult;
+use sightline::open;
+use sightline::viewpoints::region_of_result;
+use sightline::words::plural;
 use sightline_pvs::{Granularity, Pvs, PvsError};
 use sightline_scene::Scene;
 
@@ -14,11 +19,6 @@ use crate::scenes::read::scene_of;
 use crate::terminal::printable;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::{print, print_json, print_with};
-use sightline::Error;
-use sightline::NamedResult;
-use sightline::open;
-use sightline::viewpoints::region_of_result;
-use sightline::words::plural;
 
 /// Answers a query.
 pub fn run(args: &QueryArgs, json: bool) -> Result<(), Error> {

@@ -7,22 +7,22 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use serde_json::{Value, json};
-use sightline_measure::Portrait;
-use sightline_model::TracerChoice;
-use sightline_pvs::Pvs;
-use sightline_sampling::sight::{Sight, least_step};
-use sightline_sampling::{CubeSpec, PreparedScene, Strata};
-use sightline_scene::{Kind, Scene};
-
-use crate::results::query_target::{OBJECT, What};
-use crate::terminal::printable;
-use crate::terminal::progress::Terminal;
-use crate::terminal::stdout::print;
 use sightline::Error;
 use sightline::output::{Format, Output};
 use sightline::tracers::open_tracer;
 use sightline::words::plural;
 use sightline::{Each, NamedResult, explain_by_certificates, explain_by_query};
+use sightline_measure::Portrait;
+use sightline_model::TracerChoice;
+use sightline_pvs::Pvs;
+use sightline_scene::{Kind, Scene};
+use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::{CubeSpec, PreparedScene, Strata};
+
+use crate::results::query_target::{OBJECT, What};
+use crate::terminal::printable;
+use crate::terminal::progress::Terminal;
+use crate::terminal::stdout::print;
 
 /// Most blockers listed without --json.
 const SHOWN: usize = 40;

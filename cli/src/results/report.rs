@@ -6,11 +6,17 @@ use std::sync::Arc;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::NamedResult;
+use sightline::output::{Format, Output};
+use sightline::tracers::{note_other, open_tracer};
+use sightline::viewpoints::region_of_result;
+use sightline::words::plural;
 use sightline_measure::{Frame, Options, Report, Viewpoints, measure};
 use sightline_pvs::Pvs;
 use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budget, page};
-use sightline_sampling::sight::{Sight, least_step};
-use sightline_sampling::{CubeSpec, PreparedScene, Strata, layers};
+use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 
 use crate::args::results::ReportArgs;
 use crate::results::info::Summary;
@@ -19,12 +25,6 @@ use crate::scenes::read::scene_of;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::NamedResult;
-use sightline::output::{Format, Output};
-use sightline::tracers::{note_other, open_tracer};
-use sightline::viewpoints::region_of_result;
-use sightline::words::plural;
 
 /// Worst frames that are shown.
 const FRAMES: usize = 6;

@@ -8,6 +8,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
+use sightline::Error;
+use sightline::NamedResult;
+use sightline::output::{Format, Output};
+use sightline::viewpoints::region_of_result;
+use sightline::words::plural;
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use sightline_view::{Ask, Map, View, Worst, page};
@@ -19,11 +24,6 @@ use crate::results::view_server;
 use crate::scenes::read::scene_of;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::NamedResult;
-use sightline::output::{Format, Output};
-use sightline::viewpoints::region_of_result;
-use sightline::words::plural;
 
 /// Most cells for which a viewpoint is looked for in the region that walls enclose.
 const MOST_PLACES: u32 = 1 << 15;

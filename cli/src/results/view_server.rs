@@ -12,11 +12,10 @@ use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use serde::Deserialize;
 use serde_json::json;
+use sightline::{NamedResult, explain_as_message};
 use sightline_pvs::Pvs;
 use sightline_scene::Scene;
 use tokio::sync::Mutex;
-
-use sightline::{NamedResult, explain_as_message};
 
 /// The path of exact answers.
 pub const PATH: &str = "/why";

@@ -4,20 +4,20 @@ use std::collections::BTreeSet;
 
 use glam::{DVec3, Vec3};
 use serde_json::{Value, json};
+use sightline::Error;
+use sightline::output::{Format, Output};
+use sightline::viewpoints::{Walls, refine};
+use sightline::words::plural;
 use sightline_portals::{Enclosure, Face, LeafId, OUTSIDE, PortalId, Solid, Tree, reached, solids};
-use sightline_sampling::sequence::spread3;
 use sightline_scene::glb_out::{GlbError, write_glb};
 use sightline_scene::{Object, Scene, Triangle};
+use sightline_trace::sequence::spread3;
 
 use crate::args::cli::PortalsArgs;
 use crate::scenes::read::scene;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::output::{Format, Output};
-use sightline::viewpoints::{Walls, refine};
-use sightline::words::plural;
 
 /// Points that are tried when none are given.
 const TRIED: usize = 48;

@@ -5,6 +5,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde_json::json;
+use sightline::Error;
+use sightline::output::{Format, Output};
+use sightline::process::threads;
+use sightline::words::human;
+use sightline::words::plural;
 use sightline_scene::Scene;
 use sightline_tetra::check::check;
 use sightline_tetra::file::write;
@@ -20,11 +25,6 @@ use crate::terminal::memory;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stderr::say;
 use crate::terminal::stdout::print;
-use sightline::Error;
-use sightline::output::{Format, Output};
-use sightline::process::threads;
-use sightline::words::human;
-use sightline::words::plural;
 
 /// Bytes that the process has at its peak for each face of a cell while it exports tetrahedra: 430 to 540 on
 /// four scenes (`peak_memory_bytes` of `sightline --json tetra … --export`).

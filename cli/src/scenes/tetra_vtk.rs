@@ -7,11 +7,10 @@ use std::io::Write;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use sightline_tetra::divide::{Divided, divide};
-use sightline_tetra::file::Contents;
-
 use sightline::Error;
 use sightline::output::Output;
+use sightline_tetra::divide::{Divided, divide};
+use sightline_tetra::file::Contents;
 
 /// VTK's number of a triangle.
 const TRIANGLE: u8 = 5;

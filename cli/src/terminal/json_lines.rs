@@ -4,7 +4,6 @@ use std::io::{BufRead as _, BufReader, Read};
 use std::path::Path;
 
 use serde::de::DeserializeOwned;
-
 use sightline::Error;
 
 /// Most lines that are read together.

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sightline_files::{Access, NewFile};
+use sightline_records::MAX_OWNER_BYTES;
 
 use super::caller::{Scope, Scopes};
-use crate::store::MAX_OWNER_BYTES;
 
 /// Most bytes of a user's name.
 pub const MAX_USER_BYTES: usize = MAX_OWNER_BYTES;

@@ -2,14 +2,15 @@
 //!
 //! Blobs without a record that names them look unreferenced. With the records of another store,
 //! or with a new store in place of a lost one, every blob looks unreferenced. So a blob store carries the
-//! name of the store that it belongs to ([`StoreIdentity`](crate::store::StoreIdentity)), and the removal
+//! name of the store that it belongs to ([`StoreIdentity`](sightline_store::StoreIdentity)), and the removal
 //! checks it first.
 
 use std::sync::Arc;
 
+use sightline_store::{Blobs, Store, StoreId};
+
 use crate::blobs::references::KeepingError;
 use crate::state::Coordinator;
-use crate::store::{Blobs, Store, StoreId};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// The relation of a blob store to a store.
@@ -97,7 +98,7 @@ pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::{FileBlobs, MemoryBlobs, MemoryStore};
+    use sightline_store::{FileBlobs, MemoryBlobs, MemoryStore};
 
     #[test]
     fn blobs_belong_to_first_store_until_claimed() {

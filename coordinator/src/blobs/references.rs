@@ -4,9 +4,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::SystemTime;
 
-use crate::ids::{Digest, JobId, TileIndex};
+use sightline_records::ids::{Digest, JobId, TileIndex};
+use sightline_records::{JobPhase, JobRecord, JobState, TileState};
+use sightline_store::{BlobError, Blobs, Store, StoreError};
+
 use crate::jobs::stored_spec;
-use crate::store::{BlobError, Blobs, JobPhase, JobRecord, JobState, Store, StoreError, TileState};
 
 /// Something that cannot be looked at.
 #[derive(Debug, thiserror::Error)]

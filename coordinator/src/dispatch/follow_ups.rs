@@ -1,7 +1,7 @@
 //! The follow-ups of an event: work that blocks and that its receiver must run.
 
-use crate::ids::JobId;
-use crate::scheduler::StoreCommand;
+use sightline_records::ids::JobId;
+use sightline_scheduler::StoreCommand;
 
 /// A task that blocks and must run after an event.
 #[derive(Debug)]

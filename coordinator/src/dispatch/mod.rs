@@ -10,13 +10,13 @@ use std::collections::VecDeque;
 use crate::dispatch::follow_ups::FollowUp;
 pub(crate) use crate::dispatch::follow_ups::FollowUps;
 use crate::dispatch::outbox::{Outbox, Scheduling};
-use crate::ids::{Lease, WorkerId};
-use crate::scheduler::{
-    Departure, Effect, Event, Introduction, Joined, NameTaken, Note, WorkerCommand,
-};
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
+use sightline_records::ids::{Lease, WorkerId};
+use sightline_scheduler::{
+    Departure, Effect, Event, Introduction, Joined, NameTaken, Note, WorkerCommand,
+};
 
 /// Lets a worker join.
 pub(crate) fn join(
@@ -240,7 +240,8 @@ fn write(c: &Coordinator, note: &Note) {
             LogEvent::of(Kind::Worker, text).on(name)
         }
         Note::Chosen(job, chosen) => {
-            tracing::info!("job {job}: {chosen}");
+            // `sightline bake` shows this line of the log.
+            tracing::info!(target: "sightline_coordinator::profile", "job {job}: {chosen}");
             LogEvent::of_job(Kind::Job, *job, chosen)
         }
         Note::GraceOver(job, tiles) => {

@@ -2,10 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use sightline_records::ids::{JobId, WorkerId};
+use sightline_scheduler::{Scheduler, WorkerCommand};
 use tokio::sync::watch;
-
-use crate::ids::{JobId, WorkerId};
-use crate::scheduler::{Scheduler, WorkerCommand};
 
 /// The way to one worker.
 pub(crate) trait Outbox: Send {

@@ -8,16 +8,17 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use sightline_model::PlannedJob;
+use sightline_records::ids::{Digest, TileIndex};
+use sightline_records::{JobPhase, JobState, TileCheck};
+use sightline_scheduler::{Event, StoreCommand};
+use sightline_store::{BlobError, StoreError};
 
 use crate::dispatch::follow_ups::FollowUp;
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Digest, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::results::finalize;
-use crate::scheduler::{Event, StoreCommand};
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobPhase, JobState, StoreError, TileCheck};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Passes an event to the scheduler and runs its follow-ups. Blocks on the disk.

@@ -1,11 +1,13 @@
 //! Changes of the state of a job: in the store, then in the scheduler. The caller runs the follow-ups.
 
+use sightline_records::ids::JobId;
+use sightline_records::{JobPhase, JobState};
+use sightline_scheduler::Event;
+use sightline_store::StoreError;
+
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::JobId;
 use crate::jobs::retention_stamp;
-use crate::scheduler::Event;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobState, StoreError};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Moves a job that is in one of some phases to another state.

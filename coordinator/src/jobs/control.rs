@@ -2,16 +2,17 @@
 
 use std::sync::{Arc, PoisonError};
 
+use sightline_records::ids::{Digest, JobId};
+use sightline_records::{JobPhase, JobRecord, JobState, TileRecord, TileState};
+use sightline_scheduler::{Event, Job, Team, Unable, cells_total};
+use sightline_store::StoreError;
 use sightline_traces::TraceId;
 
 use crate::access::Caller;
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Digest, JobId};
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
-use crate::scheduler::{Event, Job, Team, Unable, cells_total};
 use crate::state::{Coordinator, MissingBlob};
-use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileRecord, TileState};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// A job that cannot be changed or fetched.

@@ -3,12 +3,14 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError};
 
-use crate::ids::{Digest, JobId};
+use sightline_records::ids::{Digest, JobId};
+use sightline_records::{JobRecord, JobState, TileState};
+use sightline_store::StoreError;
+
 use crate::jobs::control::{self, JobError, Summary};
 use crate::jobs::stored_spec;
 use crate::kept::PartialCache;
 use crate::state::Coordinator;
-use crate::store::{JobRecord, JobState, StoreError, TileState};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// The blobs that a job names, apart from its scene: its result, the outputs of its tiles, the large parts of

@@ -10,16 +10,16 @@ use sightline_model::{
     CubeParams, JobSpec, LineAim, MethodName, PlannedJob, Sampler, SamplerName, Sampling, Stop,
     Visibility,
 };
+use sightline_records::ids::JobId;
+use sightline_records::{JobPhase, JobRecord, JobState, owned_key, owned_request};
+use sightline_scheduler::cells_total;
 use sightline_viewcells::Division;
 
 use crate::access::Caller;
-use crate::ids::JobId;
 use crate::jobs::control::{self, Summary};
 use crate::jobs::stored_spec;
 use crate::jobs::submit::{Submission, SubmitError};
-use crate::scheduler::cells_total;
 use crate::state::Coordinator;
-use crate::store::{JobPhase, JobRecord, JobState, owned_key, owned_request};
 
 /// Jobs that are looked at, from the newest.
 const MOST_LOOKED_AT: usize = 1000;

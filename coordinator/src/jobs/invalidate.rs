@@ -4,47 +4,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+use sightline_records::ids::{JobId, TileIndex};
+use sightline_records::{JobPhase, JobRecord, QuarantineRecord};
+use sightline_scheduler::{Event, Job};
+use sightline_store::{StoreError, TileFilter, untrusted_tiles};
+
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{JobId, TileIndex};
 use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
-use crate::scheduler::{Event, Job};
 use crate::state::Coordinator;
-use crate::store::{
-    JobPhase, JobRecord, QuarantineRecord, Store, StoreError, TileRecord, TileState,
-};
 use crate::telemetry::events::{Kind, LogEvent};
-
-/// Which results are meant.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct TileFilter {
-    /// Of this job alone.
-    pub(crate) job: Option<JobId>,
-    /// These tiles alone; empty for all.
-    pub(crate) tiles: BTreeSet<TileIndex>,
-    /// Those in which a worker of this name may have had a hand.
-    pub(crate) worker: Option<String>,
-    /// Those that were committed in this time, in milliseconds since 1970. Tiles of earlier versions have no
-    /// time and are always meant.
-    pub(crate) from_ms: u64,
-    pub(crate) to_ms: u64,
-}
-
-impl TileFilter {
-    fn means(&self, record: &TileRecord) -> bool {
-        let TileState::Done { stats, .. } = &record.state else {
-            return false;
-        };
-        let timed = stats.at_ms == 0 || (self.from_ms..=self.to_ms).contains(&stats.at_ms);
-        let named = self.tiles.is_empty() || self.tiles.contains(&record.tile);
-        timed
-            && named
-            && self
-                .worker
-                .as_ref()
-                .is_none_or(|name| stats.may_be_of(name))
-    }
-}
 
 /// Quarantines workers, and has what they did since they were last right computed again. To be called while
 /// holding the turn.
@@ -56,7 +25,7 @@ pub(crate) fn condemn(
     follow_ups: &mut FollowUps,
 ) -> Result<(), StoreError> {
     // The quarantine is recorded last: after a crash before that the worker is only found once more.
-    for (job, tiles) in unbelieved(&*c.store, workers, condemned)? {
+    for (job, tiles) in untrusted_tiles(&*c.store, workers, condemned)? {
         if let Some(record) = c.store.job(job)? {
             open_again(c, record, tiles, true, follow_ups)?;
         }
@@ -83,79 +52,16 @@ pub(crate) fn condemn(
     Ok(())
 }
 
-/// Returns the done tiles of each job that are computed again when these workers are quarantined: the tiles
-/// since their last confirmed tile, and the condemned tile.
-pub(crate) fn unbelieved(
-    store: &dyn Store,
-    workers: &[String],
-    condemned: Option<(JobId, TileIndex)>,
-) -> Result<BTreeMap<JobId, BTreeSet<TileIndex>>, StoreError> {
-    let agreed = agreements(store, workers)?;
-    let of_worker = |worker: &String| {
-        let from_ms = agreed.get(worker).map_or(0, |at| at + 1);
-        TileFilter {
-            worker: Some(worker.clone()),
-            from_ms,
-            to_ms: u64::MAX,
-            ..TileFilter::default()
-        }
-    };
-    let all: Vec<TileFilter> = workers.iter().map(of_worker).collect();
-    let mut unbelieved = BTreeMap::new();
-    for job in store.jobs()? {
-        let is_done = |tile: &TileRecord| matches!(tile.state, TileState::Done { .. });
-        let is_meant = |tile: &TileRecord| {
-            all.iter().any(|which| which.means(tile))
-                || is_done(tile) && condemned == Some((job.id, tile.tile))
-        };
-        let tiles = store.tiles(job.id)?;
-        let tiles: BTreeSet<TileIndex> = tiles
-            .iter()
-            .filter(|t| is_meant(t))
-            .map(|t| t.tile)
-            .collect();
-        if !tiles.is_empty() {
-            unbelieved.insert(job.id, tiles);
-        }
-    }
-    Ok(unbelieved)
-}
-
-/// When each of these workers was last known to be right: when it committed a tile that another one has
-/// confirmed, or confirmed one itself.
-fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
-    let mut last: BTreeMap<String, u64> = BTreeMap::new();
-    for job in store.jobs()? {
-        for tile in store.tiles(job.id)? {
-            let (TileState::Done { stats, .. }, Some(check)) = (&tile.state, &tile.check) else {
-                continue;
-            };
-            for worker in workers {
-                let at = if check.worker == *worker {
-                    check.at_ms
-                } else if stats.worker == *worker || stats.helpers.contains(worker) {
-                    stats.at_ms
-                } else {
-                    continue;
-                };
-                let known = last.entry(worker.clone()).or_default();
-                *known = at.max(*known);
-            }
-        }
-    }
-    Ok(last)
-}
-
 /// Opens tiles again; returns how many of each job. To be called while holding the turn.
 pub(crate) fn invalidate(
     c: &Coordinator,
-    which: &TileFilter,
+    filter: &TileFilter,
     follow_ups: &mut FollowUps,
 ) -> Result<BTreeMap<JobId, u32>, StoreError> {
-    let jobs = match which.job {
+    let jobs = match filter.job {
         Some(id) => {
             let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
-            if let Some(&tile) = which.tiles.iter().find(|tile| tile.0 >= job.tiles) {
+            if let Some(&tile) = filter.tiles.iter().find(|tile| tile.0 >= job.tiles) {
                 return Err(StoreError::UnknownTile {
                     job: id,
                     tile,
@@ -172,7 +78,7 @@ pub(crate) fn invalidate(
             .store
             .tiles(job.id)?
             .iter()
-            .filter(|tile| which.means(tile))
+            .filter(|tile| filter.selects(tile))
             .map(|tile| tile.tile)
             .collect();
         if !tiles.is_empty() {
@@ -255,7 +161,7 @@ fn open_again(
         Ok(job) => follow_ups.extend(tell(c, Event::TakenUp(Box::new(job)))),
         Err(reason) => {
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
-            let failed = crate::store::JobState::Failed { reason };
+            let failed = sightline_records::JobState::Failed { reason };
             let record = c
                 .store
                 .set_job_state(id, &from, failed, retention_stamp::end_time(c))?;

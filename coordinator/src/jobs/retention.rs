@@ -6,14 +6,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use sightline_records::ids::{Digest, JobId};
+use sightline_records::{JobRecord, JobState};
+use sightline_store::StoreError;
+
 use crate::blobs::ownership;
 use crate::blobs::references::{self, KeepingError};
-use crate::ids::{Digest, JobId};
 use crate::jobs::control::JobError;
 use crate::jobs::delete;
 use crate::jobs::retention_clock::{Age, Kind};
 use crate::state::Coordinator;
-use crate::store::{JobRecord, JobState, StoreError};
 use crate::telemetry::events::{self, LogEvent};
 
 /// The largest difference between the clock of a file server or a bucket and the clock of this machine.

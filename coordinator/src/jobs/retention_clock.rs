@@ -21,9 +21,10 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use sightline_records::ids::Digest;
+use sightline_records::{NextSpan, RetentionStamp, TrustedSpan};
+
 use crate::clock::Moment;
-use crate::ids::Digest;
-use crate::store::{NextSpan, RetentionStamp, TrustedSpan};
 
 /// Largest tolerated disagreement of the two clocks of a process, in milliseconds. Time daemons correct
 /// less at once while they run well, and one minute delays no deletion noticeably.

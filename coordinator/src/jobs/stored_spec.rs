@@ -5,9 +5,9 @@ use prost::Message as _;
 use sightline_model::job::message::{has_boxes, remove_large_parts};
 use sightline_model::{JobSpec, PlannedJob, SceneFacts};
 use sightline_proto::v1;
-
-use crate::ids::Digest;
-use crate::store::{BlobError, Blobs, MAX_SPEC_BYTES};
+use sightline_records::MAX_SPEC_BYTES;
+use sightline_records::ids::Digest;
+use sightline_store::{BlobError, Blobs};
 
 /// The first byte of a record whose whole specification is a blob; no message begins with it. The blob's
 /// digest and the specification without its large parts follow.
@@ -118,7 +118,7 @@ mod tests {
     use sightline_viewcells::{KdTree, PartMask};
 
     use super::*;
-    use crate::store::MemoryBlobs;
+    use sightline_store::MemoryBlobs;
 
     fn job(cells: KnownCells) -> JobSpec {
         let sampling = Sampling::new(Sampler::lines(cells));

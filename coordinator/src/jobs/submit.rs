@@ -3,17 +3,16 @@
 use std::sync::Arc;
 
 use sightline_model::{PlannedJob, SceneFacts, SpecError};
+use sightline_records::ids::{Digest, JobId};
+use sightline_records::{JobPhase, JobState, NewJob, Submitted, owned_key, owned_request};
+use sightline_scheduler::{Event, Job};
+use sightline_store::{BlobError, StoreError};
 use sightline_traces::Begun;
 
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Digest, JobId};
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
-use crate::scheduler::{Event, Job};
 use crate::state::Coordinator;
-use crate::store::{
-    BlobError, JobPhase, JobState, NewJob, StoreError, Submitted, owned_key, owned_request,
-};
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans::Cause;
 use crate::uploads::receivers;

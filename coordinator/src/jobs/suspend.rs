@@ -7,12 +7,14 @@
 use std::collections::BTreeSet;
 use std::sync::PoisonError;
 
+use sightline_records::ids::JobId;
+use sightline_records::{JobPhase, JobRecord, JobState};
+use sightline_store::StoreError;
+
 use crate::dispatch::FollowUps;
-use crate::ids::JobId;
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
 use crate::state::{Coordinator, MissingBlob};
-use crate::store::{JobPhase, JobRecord, JobState, StoreError};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Pauses the jobs of a scene or of receivers that cannot be read. Workers that have them finish their tiles.

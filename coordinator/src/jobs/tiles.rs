@@ -1,12 +1,13 @@
 //! The tiles of a job, as people see them: where they are, how they stand, and what they cost.
 
+use sightline_records::ids::{JobId, TileIndex};
+use sightline_records::{TileFailure, TileState};
+use sightline_scheduler::TileStatus;
+use sightline_store::StoreError;
 use sightline_viewcells::TileKind;
 
-use crate::ids::{JobId, TileIndex};
 use crate::jobs::stored_spec;
-use crate::scheduler::TileStatus;
 use crate::state::Coordinator;
-use crate::store::{StoreError, TileFailure, TileState};
 
 /// A tile of a job.
 #[derive(Clone, Debug)]

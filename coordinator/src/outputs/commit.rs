@@ -7,18 +7,17 @@ use sightline_assemble::OutputError;
 use sightline_assemble::check::{self, SceneSize};
 use sightline_assemble::openness::{self, AnswerError};
 use sightline_model::{PlannedJob, Task, codec};
+use sightline_records::ids::{Digest, JobId, Lease, hex};
+use sightline_records::{CommitOutcome, MAX_HELPERS, TileResult, TileStats};
+use sightline_scheduler::{Admitted, Event, NoTile};
+use sightline_store::{Address, BlobError, Staged, StoreError};
 use sightline_traces::Begun;
 use sightline_viewcells::Tile;
 
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Digest, JobId, Lease, hex};
 use crate::outputs::presigned;
 use crate::quota::Sender;
-use crate::scheduler::{Admitted, Event, NoTile};
 use crate::state::Coordinator;
-use crate::store::{
-    Address, BlobError, CommitOutcome, MAX_HELPERS, Staged, StoreError, TileResult, TileStats,
-};
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
 use crate::uploads::receivers::{self, Fault};

@@ -2,9 +2,10 @@
 
 use std::time::Instant;
 
-use crate::ids::Digest;
+use sightline_records::ids::Digest;
+use sightline_store::{Address, BlobError, Staged};
+
 use crate::state::Coordinator;
-use crate::store::{Address, BlobError, Staged};
 
 /// Smaller blobs come with the answer to the call: a request to the store takes longer.
 const LEAST_READ: u64 = 64 << 10;

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-use crate::ids::Lease;
-use crate::store::Staged;
+use sightline_records::ids::Lease;
+use sightline_store::Staged;
 
 /// The outputs that workers may write at the moment. One lease has one output, so that a worker cannot fill
 /// the store with others.
@@ -33,7 +33,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::ids::{Epoch, JobId, LeaseId, TileIndex};
+    use sightline_records::ids::{Epoch, JobId, LeaseId, TileIndex};
 
     #[test]
     fn a_lease_has_one_output() {

@@ -1,8 +1,10 @@
 //! What a user has, counted from the store's records.
 
+use sightline_records::JobState;
+use sightline_store::{Store, StoreError};
+
 use super::{LimitExceeded, Quota};
 use crate::jobs::stored_spec;
-use crate::store::{JobState, Store, StoreError};
 
 /// What a user has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

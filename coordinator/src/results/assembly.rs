@@ -7,12 +7,12 @@ use sightline_assemble::openness::{self, AnswerError};
 use sightline_assemble::{Assembly, OutputState, Outputs};
 use sightline_model::{Granularity, PlannedJob, Task};
 use sightline_pvs::{Items, PvsError};
+use sightline_records::ids::Digest;
 use sightline_scene::{Scene, SceneError};
+use sightline_scheduler::Output;
+use sightline_store::{BlobError, Blobs};
 
-use crate::ids::Digest;
-use crate::scheduler::Output;
 use crate::state::Coordinator;
-use crate::store::{BlobError, Blobs};
 use crate::uploads::receivers::{self, Fault};
 use crate::uploads::scenes::{FactsError, facts};
 

@@ -5,17 +5,18 @@ use std::collections::BTreeSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use sightline_records::ids::{Digest, JobId, TileIndex};
+use sightline_records::{JobPhase, JobRecord, JobState, TileState};
+use sightline_scheduler::{Event, Output};
+use sightline_store::StoreError;
 use sightline_traces::Begun;
 
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::invalidate;
 use crate::jobs::retention_stamp;
 use crate::jobs::suspend;
 use crate::results::assembly::{AssembleError, AssemblyInput, assemble};
-use crate::scheduler::{Event, Output};
 use crate::state::{Coordinator, MissingBlob};
-use crate::store::{JobPhase, JobRecord, JobState, StoreError, TileState};
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// A complete job, copied from the scheduler.

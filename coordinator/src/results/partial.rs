@@ -3,13 +3,15 @@
 use std::io::{self, Write};
 use std::sync::{Arc, PoisonError};
 
-use crate::ids::{Digest, JobId};
+use sightline_records::JobState;
+use sightline_records::ids::{Digest, JobId};
+use sightline_scheduler::{Job, Output};
+use sightline_store::{BlobError, StoreError};
+
 use crate::jobs::stored_spec;
 use crate::kept::CachedPartial;
 use crate::results::assembly::{AssembleError, AssemblyInput, write};
-use crate::scheduler::{Job, Output};
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobState, StoreError};
 
 /// A job of which nothing can be shown.
 #[derive(Debug, thiserror::Error)]

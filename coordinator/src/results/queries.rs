@@ -5,14 +5,15 @@ use std::sync::{Arc, PoisonError};
 
 use sightline_proto::v1;
 use sightline_pvs::{Pvs, PvsError};
+use sightline_records::JobRecord;
+use sightline_records::ids::JobId;
 use sightline_scene::{Scene, SceneError};
+use sightline_store::BlobError;
 
-use crate::ids::JobId;
 use crate::jobs::control::{self, JobError};
 use crate::jobs::stored_spec;
 use crate::kept::SceneQueries;
 use crate::state::Coordinator;
-use crate::store::{BlobError, JobRecord};
 use crate::telemetry::metrics::Cache;
 
 /// Faces of the cube that is rendered around a viewpoint.

@@ -14,7 +14,10 @@ use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_proto::v1::results_client::ResultsClient;
 use sightline_proto::v1::workers_client::WorkersClient;
 use sightline_pvs::Pvs;
+use sightline_records::QuarantineRecord;
+use sightline_records::ids::JobId;
 use sightline_scene::Scene;
+use sightline_scheduler::{Event, WorkerCommand};
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
@@ -25,14 +28,11 @@ use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
 use crate::dispatch::run::happened;
-use crate::ids::JobId;
 use crate::jobs::control;
 use crate::kept::SceneQueries;
 use crate::lifecycle::Config;
 use crate::quota::Quotas;
-use crate::scheduler::{Event, WorkerCommand};
 use crate::state::Coordinator;
-use crate::store::QuarantineRecord;
 use crate::tests::life::{join, output, put, triangle, two_tiles};
 use crate::workers::lease_tags::Use;
 use crate::workers::sessions::{self, Message};
@@ -313,7 +313,8 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
     let (stranger, stream) = join_as(&served, "ada", b"").await;
     assert_ne!(ada, stranger);
     let number = u64::from_be_bytes(*stranger.first_chunk().unwrap());
-    let signature = crate::ids::signature("ada", crate::ids::WorkerIdentity(number));
+    let signature =
+        sightline_records::ids::signature("ada", sightline_records::ids::WorkerIdentity(number));
     let record = QuarantineRecord {
         worker: signature.clone(),
         at_ms: 1,

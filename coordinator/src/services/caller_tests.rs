@@ -13,6 +13,8 @@ use rcgen::{
 };
 use sightline_proto::connecting::Credentials;
 use sightline_proto::v1;
+use sightline_records::JobState;
+use sightline_records::ids::JobId;
 use tonic::body::Body;
 use tonic::codegen::http::{Request, header};
 use tonic::transport::Channel;
@@ -22,11 +24,9 @@ use tower::ServiceExt as _;
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{Tls, TlsFiles, serve, serve_http};
 use crate::access::{Access, Scope, TokenFile};
-use crate::ids::JobId;
 use crate::jobs::submit::{Submission, submit};
 use crate::lifecycle::Config;
 use crate::state::Coordinator;
-use crate::store::JobState;
 use crate::tests::life::{nameless, one_cell, triangle};
 
 /// The kinds of callers. A certificate is a worker's.

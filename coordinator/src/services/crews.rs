@@ -8,15 +8,16 @@ use futures::StreamExt as _;
 use sightline_proto::chunks;
 use sightline_proto::v1;
 use sightline_proto::v1::crew_message::Message;
+use sightline_records::TileState;
+use sightline_records::ids::Lease;
+use sightline_store::MAX_OUTCOME_BYTES;
 use tokio::sync::mpsc;
 use tonic::{Status, Streaming};
 
 use super::blocking::{blocking, later};
 use super::status;
-use crate::ids::Lease;
 use crate::quota::Sender;
 use crate::state::Coordinator;
-use crate::store::{MAX_OUTCOME_BYTES, TileState};
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::uploads::spool::Spool;
 use crate::workers::crews::{Assignment, CrewChannel, LeaderMessage};

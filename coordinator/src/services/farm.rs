@@ -7,6 +7,9 @@ use std::time::Duration;
 use futures::Stream;
 use prost::Message as _;
 use sightline_proto::v1;
+use sightline_records::ids::{JobId, TileIndex};
+use sightline_store::StoreError;
+use sightline_store::TileFilter;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 
@@ -14,11 +17,9 @@ use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
 use crate::dispatch::FollowUps;
-use crate::ids::{JobId, TileIndex};
-use crate::jobs::invalidate::{self, TileFilter};
+use crate::jobs::invalidate;
 use crate::jobs::tiles;
 use crate::state::Coordinator;
-use crate::store::StoreError;
 use crate::workers::quarantine;
 
 /// Most tiles of an answer.

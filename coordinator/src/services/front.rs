@@ -9,6 +9,7 @@ use axum::Router;
 use axum::http::{StatusCode, header};
 use futures::future::BoxFuture;
 use sightline_proto::connecting::Credentials;
+use sightline_store::{PostgresStore, Replica, Role, StoreError};
 use tokio::sync::watch;
 use tonic::codegen::http::{Request, Response};
 use tonic::{Code, Status};
@@ -23,7 +24,6 @@ use super::tls::Tls;
 use crate::access::{Need, Scope, needed};
 use crate::lifecycle::OpenError;
 use crate::state::Coordinator;
-use crate::store::{PostgresStore, Replica, Role, StoreError};
 use crate::telemetry::metrics::standing_by;
 
 /// How long a call waits for somebody to lead. A take-over takes less.

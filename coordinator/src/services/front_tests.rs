@@ -7,6 +7,7 @@ use futures::StreamExt as _;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_client::JobsClient;
 use sightline_proto::v1::workers_client::WorkersClient;
+use sightline_store::{DatabaseAddress, FileBlobs};
 use sightline_tests::Postgres;
 use tokio::task::JoinHandle;
 use tonic::transport::Channel;
@@ -16,7 +17,6 @@ use tonic_health::pb::health_client::HealthClient;
 use super::super::connections::{ConnectionLimits, Connections};
 use super::*;
 use crate::lifecycle::Config;
-use crate::store::{DatabaseAddress, FileBlobs};
 
 /// A replica that serves.
 struct One {

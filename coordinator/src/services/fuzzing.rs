@@ -16,7 +16,9 @@ use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FileDescriptorSet, MethodDescriptorProto};
 use sightline_model::{GridCells, JobSpec, KnownCells, Sampler, Sampling};
 use sightline_proto::v1;
+use sightline_records::ids::Digest;
 use sightline_scene::{Aabb, Object, Scene, Triangle};
+use sightline_store::{MemoryBlobs, MemoryStore};
 use tonic::body::Body;
 use tonic::codegen::http::{HeaderMap, Request};
 use tonic::{Code, Status};
@@ -26,9 +28,7 @@ use super::counting::Counting;
 use super::guard::Guard;
 use super::server::Services;
 use crate::clock::SystemClock;
-use crate::ids::Digest;
 use crate::state::{Coordinator, Leases};
-use crate::store::{MemoryBlobs, MemoryStore};
 
 /// Calls of one run.
 const CALLS: usize = 6;

@@ -3,10 +3,11 @@
 
 use std::sync::Arc;
 use std::task::{Context, Poll};
-
 use std::time::Instant;
 
 use futures::future::{BoxFuture, Either, Ready, ready};
+use sightline_records::ids::JobId;
+use sightline_store::StoreError;
 use tonic::body::Body;
 use tonic::codegen::http;
 use tonic::{Request, Status};
@@ -17,10 +18,8 @@ use super::connections::Peer;
 use super::metered::{LastRoom, Metered, bounded};
 use super::status;
 use crate::access::{Access, Caller, Need, Refusal, Scope, Scopes, needed};
-use crate::ids::JobId;
 use crate::quota::Permit;
 use crate::state::Coordinator;
-use crate::store::StoreError;
 
 /// Puts a [`Guarded`] around the services.
 #[derive(Clone)]

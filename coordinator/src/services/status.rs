@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use sightline_assemble::OutputError;
 use sightline_proto::chunks::ChunkError;
+use sightline_scheduler::NameTaken;
+use sightline_store::{BlobError, JournalError, StoreError};
 use tonic::{Code, Status};
 use tonic_types::{ErrorDetails, StatusExt as _};
 
@@ -12,8 +14,6 @@ use crate::jobs::submit::SubmitError;
 use crate::outputs::commit::ResultError;
 use crate::results::partial::PartialError;
 use crate::results::queries::AskError;
-use crate::scheduler::NameTaken;
-use crate::store::{BlobError, JournalError, StoreError};
 use crate::uploads::complete::UploadError;
 use crate::uploads::receivers::Fault;
 use crate::uploads::scene_files::FileError;

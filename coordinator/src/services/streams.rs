@@ -8,15 +8,15 @@ use std::time::Duration;
 use futures::Stream;
 use sightline_proto::chunks;
 use sightline_proto::v1;
+use sightline_records::ids::Digest;
+use sightline_store::BlobReader;
 use tokio::sync::mpsc::Sender;
 use tonic::Status;
 
 use super::blocking::blocking;
 use super::{status, wire};
-use crate::ids::Digest;
 use crate::outputs::presigned;
 use crate::state::Coordinator;
-use crate::store::BlobReader;
 
 /// Chunks that are read before the client has taken the last one.
 const AHEAD: usize = 4;

@@ -1,22 +1,23 @@
 //! Translation of values between the wire format and the coordinator's types.
 
+use sightline_model::job::message::remove_large_parts;
 use sightline_proto::v1;
+use sightline_records::ids::{Digest, worker_name};
+use sightline_records::{JobPhase, JobState, QuarantineRecord, SceneRecord};
+use sightline_scheduler::{
+    LeasedTile, ProfileTime, Team, TileStatus, Unable, WorkerCommand, WorkerStatus,
+};
+use sightline_store::Address;
 use sightline_traces::TraceId;
 use tonic::Status;
 
-use crate::ids::{Digest, worker_name};
 use crate::jobs::control::Summary;
 use crate::jobs::estimate::Estimate;
 use crate::jobs::stored_spec;
 use crate::jobs::tiles::TileView;
-use crate::scheduler::{
-    LeasedTile, ProfileTime, Team, TileStatus, Unable, WorkerCommand, WorkerStatus,
-};
 use crate::state::MissingBlob;
-use crate::store::{Address, JobPhase, JobState, QuarantineRecord, SceneRecord};
 use crate::telemetry::events::{Entry, Kind};
 use crate::workers::lease_tags::{LeaseTags, Use};
-use sightline_model::job::message::remove_large_parts;
 
 /// A digest from the wire.
 ///
@@ -339,7 +340,7 @@ pub(super) fn standing(state: v1::TileState) -> Result<TileStatus, Status> {
 
 /// A tile of a job.
 pub(super) fn tile(view: TileView) -> v1::TileInfo {
-    let failure = |f: crate::store::TileFailure| v1::TileFailure {
+    let failure = |f: sightline_records::TileFailure| v1::TileFailure {
         worker: f.worker,
         reason: f.reason,
     };

@@ -9,11 +9,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
+use sightline_records::ids::{JobId, Lease, LeaseId, TileIndex, worker_name};
+use sightline_records::{JobPhase, JobRecord, JobState, TileStats};
+use sightline_scheduler::{Event, Job, Scheduler};
 use sightline_traces::{Begun, Span, SpanId, TraceId, Traces};
-
-use crate::ids::{JobId, Lease, LeaseId, TileIndex, worker_name};
-use crate::scheduler::{Event, Job, Scheduler};
-use crate::store::{JobPhase, JobRecord, JobState, TileStats};
 
 /// Attributes. Their words are those of the events.
 const JOB: &str = "sightline.job";

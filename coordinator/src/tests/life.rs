@@ -13,19 +13,20 @@ use sightline_model::{
     PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility,
 };
 use sightline_pvs::Pvs;
+use sightline_records::ids::{Digest, JobId, WorkerId};
+use sightline_records::{JobPhase, JobState, NewJob};
 use sightline_scene::{Aabb, Object, Scene, Triangle};
+use sightline_scheduler::{Grant, Introduction, WorkerCommand};
+use sightline_store::{MemoryBlobs, MemoryStore};
 use tokio::sync::mpsc;
 
 use crate::clock::ManualClock;
 use crate::dispatch::outbox::Outbox;
-use crate::ids::{Digest, JobId, WorkerId};
 use crate::jobs::control::{self, JobError};
 use crate::jobs::submit::{Submission, SubmitError, submit};
 use crate::lifecycle;
 use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
-use crate::scheduler::{Grant, Introduction, WorkerCommand};
 use crate::state::{Coordinator, Leases};
-use crate::store::{JobPhase, JobState, MemoryBlobs, MemoryStore, NewJob};
 use crate::workers::sessions::{self, Message};
 
 impl Outbox for mpsc::Sender<WorkerCommand> {

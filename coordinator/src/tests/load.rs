@@ -16,18 +16,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use sightline_model::PlannedJob;
+use sightline_records::ids::{JobId, Lease, TileIndex};
+use sightline_records::{NewJob, SceneRecord, TileResult, TileStats};
+use sightline_scheduler::{Event, Introduction, Progress, WorkerCommand};
+use sightline_store::{SledStore, Store};
 use tokio::sync::mpsc;
 
 use crate::access::Caller;
 use crate::dispatch::outbox::Outbox;
 use crate::dispatch::tell;
-use crate::ids::{JobId, Lease, TileIndex};
 use crate::jobs::control;
 use crate::jobs::submit::{Submission, submit};
 use crate::lifecycle::{Config, tick};
-use crate::scheduler::{Event, Introduction, Progress, WorkerCommand};
 use crate::state::Coordinator;
-use crate::store::{NewJob, SceneRecord, SledStore, Store, TileResult, TileStats};
 use crate::tests::life::{grid, lines};
 use crate::workers::sessions::{self, Message};
 

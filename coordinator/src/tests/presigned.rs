@@ -5,16 +5,16 @@ use std::sync::Arc;
 
 use sightline_assemble::OutputError;
 use sightline_model::CellSet;
+use sightline_records::ids::{Digest, Lease, TileIndex};
+use sightline_scheduler::Grant;
+use sightline_store::{Address, BlobPlace, MemoryStore, ObjectBlobs, Staged};
 use sightline_test_s3::{KEY, S3Server, SECRET};
 use sightline_tests::ask;
 use tempfile::TempDir;
 
 use crate::clock::ManualClock;
-use crate::ids::{Digest, Lease, TileIndex};
 use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
-use crate::scheduler::Grant;
 use crate::state::{Coordinator, Leases};
-use crate::store::{Address, BlobPlace, MemoryStore, ObjectBlobs, Staged};
 use crate::tests::life::{granted, join, output, output_of, two_tiles};
 
 /// A coordinator on a bucket, and two tiles that a worker has.

@@ -5,15 +5,17 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
+use sightline_records::TileState;
+use sightline_records::ids::{JobId, Lease, TileIndex};
+use sightline_scheduler::{Event, Grant, Introduction, Job, Output};
+use sightline_store::TileFilter;
+
 use crate::clock::ManualClock;
 use crate::dispatch::{FollowUps, tell};
-use crate::ids::{JobId, Lease, TileIndex};
-use crate::jobs::invalidate::{self, TileFilter};
+use crate::jobs::invalidate;
 use crate::jobs::stored_spec;
 use crate::outputs::commit::ResultError;
-use crate::scheduler::{Event, Grant, Introduction, Job, Output};
 use crate::state::{Coordinator, Leases};
-use crate::store::TileState;
 use crate::tests::life::{coordinator, granted, join, output, put, two_tiles};
 use crate::tests::trust::alone;
 use crate::workers::sessions;

@@ -3,15 +3,16 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use sightline_records::ids::{Digest, JobId};
+use sightline_store::{MemoryBlobs, MemoryStore};
+
 use crate::clock::ManualClock;
-use crate::ids::{Digest, JobId};
 use crate::jobs::control;
 use crate::jobs::retention::tidy_up;
 use crate::jobs::retention_stamp;
 use crate::jobs::submit::submit;
 use crate::kept::Retention;
 use crate::state::{Coordinator, Leases};
-use crate::store::{MemoryBlobs, MemoryStore};
 use crate::telemetry::events::Kind;
 use crate::tests::life::{nameless, one_cell, triangle};
 use crate::tests::trust::alone;

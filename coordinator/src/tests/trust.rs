@@ -3,30 +3,31 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use sightline_records::ids::{Digest, JobId, TileIndex};
+use sightline_records::{JobState, TileState};
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_scheduler::WorkerCommand;
+use sightline_store::TileFilter;
+use sightline_store::{Blobs as _, FileBlobs, MemoryBlobs, MemoryStore, StoreError};
+
 use crate::blobs::references;
 use crate::clock::ManualClock;
 use crate::dispatch::FollowUps;
-use crate::ids::{Digest, JobId, TileIndex};
 use crate::jobs::control;
-use crate::jobs::invalidate::{self, TileFilter};
+use crate::jobs::invalidate;
 use crate::jobs::resume;
 use crate::jobs::retention::tidy_up;
 use crate::jobs::submit::{SubmitError, submit};
 use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::quota::Quotas;
-use crate::scheduler::WorkerCommand;
 use crate::state::{Coordinator, Leases, MissingBlob};
-use crate::store::{
-    Blobs as _, FileBlobs, JobState, MemoryBlobs, MemoryStore, StoreError, TileState,
-};
 use crate::telemetry::readiness::readiness;
 use crate::tests::life::{coordinator, granted, join, nameless, one_cell, output, put, two_tiles};
 use crate::uploads::complete::UploadError;
 use crate::uploads::scenes;
 use crate::workers::quarantine;
 use crate::workers::sessions::{self, Message};
-use sightline_scene::{Object, Scene, Triangle};
 
 type Orders = tokio::sync::mpsc::Receiver<WorkerCommand>;
 
@@ -79,7 +80,7 @@ fn wait_until(what: &str, mut is: impl FnMut() -> bool) {
 /// A worker does everything that it is given; a liar sees a triangle that is not there.
 fn work(
     c: &Arc<Coordinator>,
-    worker: crate::ids::WorkerId,
+    worker: sightline_records::ids::WorkerId,
     orders: &mut Orders,
     lies: bool,
 ) -> usize {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::ids::Digest;
+use sightline_records::ids::Digest;
 
 /// Maximum number of chunks of an owner that were not joined to a scene: two of the largest scenes have as
 /// many. An owner with a name gets no further chunk stored. Chunks without an owner are forgotten then, and

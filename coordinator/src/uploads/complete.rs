@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use sightline_model::receivers::ReceiversError;
 use sightline_proto::chunks::CHUNK_BYTES;
+use sightline_records::ids::Digest;
 use sightline_scene::SceneError;
+use sightline_store::{BlobError, StoreError};
 
-use crate::ids::Digest;
 use crate::state::Coordinator;
-use crate::store::{BlobError, StoreError};
 use crate::users::quota_check::HavingError;
 
 /// Maximum ratio of the bytes of a list of chunks and of the bytes that were sent for it. A scene repeats a

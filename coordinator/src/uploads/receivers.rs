@@ -8,13 +8,13 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use sightline_model::receivers::{self, MOST_BYTES, ReceiversError};
+use sightline_records::ids::Digest;
+use sightline_store::{BlobError, StoreError};
 
 use crate::access::Caller;
-use crate::ids::Digest;
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
 use crate::state::{Coordinator, StoredReceivers};
-use crate::store::{BlobError, StoreError};
 use crate::uploads::complete::{ListBytes, UploadError, announced, forget_chunks, here, join};
 use crate::users::quota_check::{reserve_quota, turn_of};
 

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
+use sightline_records::SceneRecord;
 use sightline_scene::load::{Options, load_bytes_with};
 use sightline_scene::{Rule, SceneError};
 
 use crate::quota::{Sender, Usage};
 use crate::state::Coordinator;
-use crate::store::SceneRecord;
 use crate::uploads::scenes::TakeError;
 use crate::uploads::spool::{Spool, SpoolError};
 use crate::users::quota_check::{reserve_quota, turn_of};

@@ -3,13 +3,14 @@
 use std::sync::{Arc, PoisonError};
 
 use sightline_assemble::SceneSummary;
+use sightline_records::SceneRecord;
+use sightline_records::ids::Digest;
 use sightline_scene::{Aabb, Scene, SceneError};
+use sightline_store::{BlobError, StoreError};
 
 use crate::access::Caller;
-use crate::ids::Digest;
 use crate::quota::Usage;
 use crate::state::Coordinator;
-use crate::store::{BlobError, SceneRecord, StoreError};
 use crate::telemetry::metrics::Cache;
 use crate::uploads::complete::{ListBytes, UploadError, announced, forget_chunks, here, join};
 use crate::users::quota_check::{HavingError, may_send, reserve_quota, turn_of};
@@ -238,13 +239,13 @@ mod tests {
 
     use super::*;
     use crate::clock::SystemClock;
-    use crate::ids::Epoch;
-    use crate::scheduler::{Scheduler, Settings};
     use crate::state::Leases;
-    use crate::store::{FileBlobs, MemoryStore, Outcomes, Store as _};
     use crate::telemetry::events::EventLog;
     use crate::workers::crews::Crews;
+    use sightline_records::ids::Epoch;
     use sightline_scene::Object;
+    use sightline_scheduler::{Scheduler, Settings};
+    use sightline_store::{FileBlobs, MemoryStore, Outcomes, Store as _};
 
     #[test]
     fn a_scene_handed_over_in_memory_is_stored_and_a_damaged_blob_is_repaired() {

@@ -5,11 +5,11 @@ use std::io::{Read, Seek as _, Write as _};
 
 use sightline_proto::chunks::{ChunkError, Sequence};
 use sightline_proto::v1;
+use sightline_records::ids::Digest;
+use sightline_store::BlobError;
 
-use crate::ids::Digest;
 use crate::quota::{LimitExceeded, Reserved, Sender};
 use crate::state::Coordinator;
-use crate::store::BlobError;
 
 /// Bytes that stay in memory. Many calls at once hold as much each.
 const MAX_IN_MEMORY: usize = 64 << 10;
@@ -190,7 +190,7 @@ mod tests {
     use super::*;
     use crate::clock::SystemClock;
     use crate::state::Leases;
-    use crate::store::{FileBlobs, MemoryBlobs, MemoryStore};
+    use sightline_store::{FileBlobs, MemoryBlobs, MemoryStore};
 
     fn filled(c: &Coordinator, bytes: &[u8], announced: u64) -> Result<Spool, SpoolError> {
         let mut spool = Spool::begin(c, Sender::User("ada"), announced)?;
@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn spool_keeps_exactly_announced_bytes() {
         let folder = tempfile::tempdir().unwrap();
-        let blobs: [Box<dyn crate::store::Blobs>; 2] = [
+        let blobs: [Box<dyn sightline_store::Blobs>; 2] = [
             Box::new(MemoryBlobs::new()),
             Box::new(FileBlobs::open(folder.path()).unwrap()),
         ];

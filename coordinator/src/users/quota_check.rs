@@ -3,9 +3,10 @@
 use std::sync::{MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use sightline_store::StoreError;
+
 use crate::quota::{LimitExceeded, Quota, Usage, usage};
 use crate::state::Coordinator;
-use crate::store::StoreError;
 use crate::uploads::chunks::MAX_CHUNKS;
 
 /// How old the count may be to which a chunk is added.

@@ -8,10 +8,9 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use sightline_proto::v1::Chunk;
+use sightline_records::ids::{JobId, Lease, TileIndex};
+use sightline_store::Outcomes;
 use tokio::sync::{mpsc, watch};
-
-use crate::ids::{JobId, Lease, TileIndex};
-use crate::store::Outcomes;
 
 /// Messages to a member that wait until it reads them.
 pub(crate) const WAITING: usize = 16;

@@ -4,9 +4,10 @@
 //! identity at its first connection, and shows it at later ones. Quarantine and authorship belong to the name
 //! together with the identity, so a stranger cannot bring a worker of the same name into quarantine.
 
+use sightline_records::ids::WorkerIdentity;
+use sightline_store::{StoreError, StoreIdentity};
+
 use crate::access::Caller;
-use crate::ids::WorkerIdentity;
-use crate::store::{StoreError, StoreIdentity};
 
 /// The purpose of the key.
 const PURPOSE: &str = "sightline 2026-11-28 identities of workers";

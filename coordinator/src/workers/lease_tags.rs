@@ -5,9 +5,8 @@
 //! helper differs from the tag of the leader, so that a helper cannot send the output.
 
 use sightline_proto::v1;
-
-use crate::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
-use crate::store::StoreIdentity;
+use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
+use sightline_store::StoreIdentity;
 
 /// The purpose of the key.
 const PURPOSE: &str = "sightline 2026-11-28 tags of leases";

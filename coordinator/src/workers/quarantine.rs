@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
+use sightline_records::ids::worker_name;
+use sightline_scheduler::Event;
+use sightline_store::StoreError;
+
 use crate::dispatch::run::happened;
-use crate::ids::worker_name;
-use crate::scheduler::Event;
 use crate::state::Coordinator;
-use crate::store::StoreError;
 use crate::telemetry::events::{Kind, LogEvent};
 
 /// Lets quarantined workers work again: the one with this signature, or all with this name. Returns whether

@@ -5,14 +5,14 @@
 
 use std::sync::Arc;
 
+use sightline_records::ids::{JobId, Lease, WorkerId};
+use sightline_scheduler::{
+    Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
+};
 use tokio::sync::mpsc;
 
 use crate::dispatch::outbox::Outbox;
 use crate::dispatch::{self, FollowUps, tell};
-use crate::ids::{JobId, Lease, WorkerId};
-use crate::scheduler::{
-    Departure, Event, Failure, Introduction, Joined, NameTaken, ProfileTime, Progress,
-};
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::workers::crews::{CrewChannel, LeaderMessage};

@@ -12,9 +12,9 @@ use sightline_model::{
     CellSets, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling, TileOutput,
     codec,
 };
-use sightline_sampling::CubeSpec;
-use sightline_sampling::embree::CpuBackend;
 use sightline_scene::generate::{Kind, Params, generate};
+use sightline_trace::CubeSpec;
+use sightline_trace::embree::CpuBackend;
 
 /// Watches nothing and never stops the tile.
 struct Unwatched;

@@ -9,7 +9,7 @@ use sightline_ambient::{Answer, Falloff, Light, Memory, Receiver, Settings, Solv
 use sightline_model::Ambient;
 use sightline_model::openness::Openness;
 use sightline_model::receivers::{self, Receivers};
-use sightline_sampling::Watcher;
+use sightline_sample::Watcher;
 
 use crate::outcome::{BakeError, TileDone, tile_error};
 use crate::scene::BakeScene;

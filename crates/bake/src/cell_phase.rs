@@ -7,8 +7,8 @@ use std::sync::{Mutex, OnceLock, PoisonError};
 
 use sightline_model::{CellSet, CellSets, Node, TileOutput, codec};
 use sightline_numbers::varint;
-use sightline_sampling::crew::{Crew, ForeignFinds, Phase};
-use sightline_sampling::{TileError, Watcher};
+use sightline_sample::crew::{Crew, ForeignFinds, Phase};
+use sightline_sample::{TileError, Watcher};
 
 /// Why the cells of a tile are not decided.
 #[derive(Debug)]

@@ -17,8 +17,8 @@ use sightline_exact::{
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats};
 use sightline_numbers::Aabb;
 use sightline_portals::{Partition, sights};
-use sightline_sampling::Watcher;
-use sightline_sampling::crew::Crew;
+use sightline_sample::Watcher;
+use sightline_sample::crew::Crew;
 use sightline_viewcells::{CellBox, Lattice};
 
 use crate::cell_phase::{Undecided, decide_shared};

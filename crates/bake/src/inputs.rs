@@ -1,7 +1,7 @@
 //! The inputs of a tile in addition to its job.
 
 use sightline_model::receivers::Receivers;
-use sightline_sampling::Backend;
+use sightline_trace::Backend;
 
 use crate::{BakeScene, PackDigest};
 

@@ -9,7 +9,7 @@
 //!
 //! use sightline_bake::{Alone, BakeScene, Control, Inputs, Watcher, run};
 //! use sightline_model::{GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling};
-//! use sightline_sampling::{CubeSpec, embree::CpuBackend};
+//! use sightline_trace::{CubeSpec, embree::CpuBackend};
 //!
 //! struct Unwatched;
 //! impl Watcher for Unwatched {
@@ -50,8 +50,8 @@ mod scope;
 mod within;
 
 use sightline_model::{Method, PlannedJob, Task};
-pub use sightline_sampling::Watcher;
-pub use sightline_sampling::crew::{Alone, Crew};
+pub use sightline_sample::Watcher;
+pub use sightline_sample::crew::{Alone, Crew};
 
 pub use crate::inputs::{Inputs, PackBytes};
 pub use crate::outcome::{BakeError, Control, PackDigest, TileDone};

@@ -2,8 +2,9 @@
 
 use std::time::Instant;
 
-use sightline_sampling::crew::Crew;
-use sightline_sampling::{BackendError, TileError, Watcher};
+use sightline_sample::crew::Crew;
+use sightline_sample::{TileError, Watcher};
+use sightline_trace::BackendError;
 
 use crate::cell_phase::Undecided;
 

@@ -5,9 +5,10 @@ use std::time::Instant;
 
 use sightline_model::{Method, Pack, PlannedJob, Sampling, TileOutput, Visibility, codec};
 use sightline_portals::{NoPartition, OpenFaces};
-use sightline_sampling::crew::{Crew, Phase};
-use sightline_sampling::lines::hits;
-use sightline_sampling::{Backend, BackendError, JobContext, TileError, Watcher, tile};
+use sightline_sample::crew::{Crew, Phase};
+use sightline_sample::lines::hits;
+use sightline_sample::{JobContext, TileError, Watcher, tile};
+use sightline_trace::{Backend, BackendError};
 use sightline_viewcells::{Plan, TileKind};
 
 use crate::choices::sampling_deadline;

@@ -7,8 +7,8 @@ use sightline_exact::ExactScene;
 use sightline_model::Visibility;
 use sightline_numbers::Aabb;
 use sightline_portals::{Limits, NoPartition, Partition};
-use sightline_sampling::PreparedScene;
 use sightline_scene::{Scene, SceneError};
+use sightline_trace::PreparedScene;
 use sightline_viewcells::Region;
 
 /// A scene, prepared for sampling and, when a tile first needs them, for exact queries, for ambient occlusion

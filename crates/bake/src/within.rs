@@ -27,7 +27,7 @@ impl Within {
     }
 }
 
-impl sightline_sampling::Places for Within {
+impl sightline_sample::Places for Within {
     fn hold(&self, point: Vec3) -> bool {
         self.0.holds(point)
     }

@@ -22,9 +22,9 @@ use sightline_model::{
     CellToCell, CubeCells, CubeGrid, CubeParams, Effort, GridCells, JobSpec, KnownCells, Method,
     PlannedJob, Sampler, Sampling, Task, TileOutput, TracerChoice, Visibility, codec,
 };
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_scene::{MAX_COORDINATE, Object, Scene, Triangle};
+use sightline_trace::{BackendError, CubeSpec, embree::CpuBackend};
 
 /// Returns rooms whose largest coordinate is below 1, times a power of two.
 fn scaled(power: i32) -> Arc<Scene> {

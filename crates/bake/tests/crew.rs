@@ -18,10 +18,10 @@ use sightline_model::{
     Adaptive, CellToCell, Effort, Granularity, GridCells, JobSpec, KnownCells, LineAim, Method,
     PlannedJob, Sampler, Sampling, Stop, Task, Visibility,
 };
-use sightline_sampling::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
-use sightline_sampling::{Backend, BackendError, CubeSpec, embree::CpuBackend};
+use sightline_sample::crew::{FromHelper, FromLeader, Helper, Leader, ToHelper, ToLeader};
 use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
+use sightline_trace::{Backend, BackendError, CubeSpec, embree::CpuBackend};
 
 /// A watcher that can be told to stop.
 #[derive(Default)]

@@ -13,8 +13,8 @@ use sightline_bake::{Alone, BakeError, BakeScene, Control, Inputs, Watcher};
 use sightline_model::{
     Effort, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler, Sampling,
 };
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::load::{Options, load_bytes_with};
+use sightline_trace::{BackendError, CubeSpec, embree::CpuBackend};
 
 struct Silent;
 

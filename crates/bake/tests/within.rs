@@ -24,9 +24,9 @@ use sightline_model::{
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::{Enclosure, Limits, Reached, Tree, enclose, reached, region_of};
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
 use sightline_scene::generate::{Kind, Params, generate};
+use sightline_trace::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_viewcells::{CellBox, Division, PartMask, UNITS_PER_CELL};
 
 const CELLS: [u32; 3] = [3, 2, 2];

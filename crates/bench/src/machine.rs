@@ -3,7 +3,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Serialize;
-use sightline_sampling::embree::CpuBackend;
+use sightline_trace::embree::CpuBackend;
 
 /// What a reader needs to judge the times by.
 #[derive(Debug, Serialize)]

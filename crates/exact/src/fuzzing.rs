@@ -1,10 +1,10 @@
 //! The body of the fuzz target `query`, which the tests call too.
 
 use glam::{DVec3, Vec3};
+use sightline_certificate::checker::{self, check_hidden, check_witness};
 use sightline_scene::{Object, Scene, Triangle};
 
 use crate::{Limits, Occluders, Polygon, Verdict, sightlines};
-use sightline_certificate::checker::{self, check_hidden, check_witness};
 
 /// Decodes bytes as two triangles and occluding triangles, and asks whether one of the two sees the other.
 /// The first byte selects the coordinates: any bits of floats, quarters from −32 to 31.75, or the upper half

@@ -14,8 +14,8 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use sightline_pvs::Pvs;
-use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::{Backend as _, CubeSpec, SKY, Strata};
+use sightline_trace::embree::CpuBackend;
+use sightline_trace::{Backend as _, CubeSpec, SKY, Strata};
 
 const SIZE: [u32; 2] = [1200, 700];
 /// Pixels of the picture along each axis that are averaged to one.

@@ -79,7 +79,7 @@ pub enum MeasureError {
     },
     /// Rendering failed.
     #[error(transparent)]
-    Backend(#[from] sightline_sampling::BackendError),
+    Backend(#[from] sightline_trace::BackendError),
     /// A viewpoint is out of range.
     #[error(transparent)]
     Look(#[from] sightline_tetra::LookError),

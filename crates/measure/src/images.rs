@@ -8,7 +8,7 @@ use std::io::Write as _;
 use std::path::Path;
 
 use sightline_files::{Access, NewFile};
-use sightline_sampling::{CubeImage, SKY};
+use sightline_trace::{CubeImage, SKY};
 
 use crate::error::MeasureError;
 use crate::pixel::is_wrong;

@@ -5,7 +5,7 @@
 //! viewpoint's cell: drawing the set alone would show something else there. Sky is never wrong. Wrong pixels
 //! that touch form regions, since an eye forgives scattered pixels sooner than a hole.
 //!
-//! This crate draws nothing itself (a [`sightline_sampling::CubeRenderer`] does) and judges the image, not
+//! This crate draws nothing itself (a [`sightline_trace::CubeRenderer`] does) and judges the image, not
 //! the set: a triangle that is in a set without need costs time when drawn, and is no error here.
 //!
 //! ```no_run
@@ -13,7 +13,7 @@
 //!
 //! use sightline_measure::{Options, Viewpoints, measure};
 //! use sightline_pvs::Pvs;
-//! use sightline_sampling::{Backend as _, CubeSpec, Strata, embree::CpuBackend};
+//! use sightline_trace::{Backend as _, CubeSpec, Strata, embree::CpuBackend};
 //!
 //! let scene = Arc::new(sightline_scene::load("level.glb".as_ref())?);
 //! let pvs = Pvs::open("level.pvs")?;

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_pvs::Pvs;
-use sightline_sampling::{CubeImage, CubeRenderer, SKY};
+use sightline_trace::{CubeImage, CubeRenderer, SKY};
 
 use crate::error::MeasureError;
 use crate::images;

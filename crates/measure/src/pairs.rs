@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sightline_numbers::random::SplitMix64;
 use sightline_pvs::{Pvs, PvsError};
-use sightline_sampling::packet::{LANES, Packet};
-use sightline_sampling::sight::{Passed, Sight};
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::sight::{Passed, Sight};
 
 use crate::error::MeasureError;
 

@@ -1,6 +1,6 @@
 //! The judgement of one pixel.
 
-use sightline_sampling::SKY;
+use sightline_trace::SKY;
 
 /// Whether a pixel that shows `id` is wrong. `id` is sky or has its bit in `visible`.
 pub(crate) fn is_wrong(visible: &[u64], id: u32) -> bool {

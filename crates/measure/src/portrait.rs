@@ -3,10 +3,10 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
-use sightline_sampling::SKY;
-use sightline_sampling::packet::{LANES, Packet};
-use sightline_sampling::sight::{Passed, Sight};
 use sightline_scene::Scene;
+use sightline_trace::SKY;
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::sight::{Passed, Sight};
 
 use crate::camera::Camera;
 use crate::error::MeasureError;

@@ -13,7 +13,7 @@ pub struct Regions {
     pub largest: u32,
 }
 
-/// Finds the regions among 6·n·n pixels in the order of [`sightline_sampling::CubeImage`]. `wrong` has that
+/// Finds the regions among 6·n·n pixels in the order of [`sightline_trace::CubeImage`]. `wrong` has that
 /// length.
 pub fn regions(n: u32, wrong: &[bool]) -> Regions {
     let mut parent: Vec<u32> = (0..wrong.len() as u32).collect();
@@ -63,7 +63,7 @@ fn pixel(n: u32, face: u32, x: i64, y: i64) -> u32 {
     if (0..m).contains(&x) && (0..m).contains(&y) {
         return (face * n + y as u32) * n + x as u32;
     }
-    // The direction times n, by the conventions of `sightline_sampling::cube`.
+    // The direction times n, by the conventions of `sightline_trace::cube`.
     let axis = face as usize / 2;
     let mut direction = [0i64; 3];
     direction[axis] = if face.is_multiple_of(2) { m } else { -m };
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
     use glam::Vec3;
     use proptest::prelude::Strategy;
-    use sightline_sampling::cube::face_basis;
+    use sightline_trace::cube::face_basis;
 
     fn direction(n: u32, i: u32) -> Vec3 {
         let [forward, right, up] = face_basis(i / (n * n));

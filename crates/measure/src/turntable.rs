@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::Vec3;
 use sightline_files::{Access, NewFile};
-use sightline_sampling::CubeImage;
+use sightline_trace::CubeImage;
 
 use crate::camera::Camera;
 use crate::error::MeasureError;

@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use glam::Vec3;
 use sightline_numbers::random::SplitMix64;
-use sightline_sampling::embree::CpuBackend;
-use sightline_sampling::{Backend as _, CubeSpec, SKY, Strata};
 use sightline_scene::generate::{Kind, Params, generate};
 use sightline_tetra::look::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
 use sightline_tetra::{Mode, Scratch, View};
+use sightline_trace::embree::CpuBackend;
+use sightline_trace::{Backend as _, CubeSpec, SKY, Strata};
 
 #[test]
 fn item_buffers_show_nothing_beside_the_exact_set() {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use glam::Vec3;
 use sightline_measure::{MeasureError, Options, PathReport, Report, Viewpoints, images, measure};
 use sightline_pvs::{Builder, CellTree, Header, Node, Object, Pvs};
-use sightline_sampling::{BackendError, CubeImage, CubeRenderer, SKY, VisibilitySample};
+use sightline_trace::{BackendError, CubeImage, CubeRenderer, SKY, VisibilitySample};
 
 const N: u32 = 10;
 /// Triangles of the result; only 0…9 are visible from the cell x < 1, only 0…4 from the cell x ≥ 1.

@@ -13,9 +13,9 @@ use rayon::prelude::*;
 use serde::Serialize;
 use sightline_numbers::random::SplitMix64;
 use sightline_pvs::Pvs;
-use sightline_sampling::packet::{LANES, Packet};
-use sightline_sampling::sight::{Passed, Sight};
 use sightline_scene::{Aabb, Scene};
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::sight::{Passed, Sight};
 
 use crate::ReportError;
 use crate::costs::Costs;

@@ -25,5 +25,5 @@ pub enum ReportError {
     Pvs(#[from] sightline_pvs::PvsError),
     /// Rays cannot be traced.
     #[error(transparent)]
-    Backend(#[from] sightline_sampling::BackendError),
+    Backend(#[from] sightline_trace::BackendError),
 }

@@ -8,9 +8,9 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
+use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 
 use crate::{Aabb, Scene, Triangle};
-use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 
 /// Whether the closed triangle and the closed box share a point. An empty box (`min` > `max` somewhere) meets
 /// nothing; a triangle without area is treated as the segment or point it is.

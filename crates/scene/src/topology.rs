@@ -6,11 +6,11 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_geometry::predicates::{Sum, det3, det3_terms, orient3d_sign};
 use sightline_numbers::random::mix;
 use sightline_numbers::union_find::UnionFind;
 
 use crate::{Scene, SceneError, Triangle};
-use sightline_geometry::predicates::{Sum, det3, det3_terms, orient3d_sign};
 
 /// For every triangle whether it belongs to a closed, consistently oriented surface, and which way it faces.
 ///

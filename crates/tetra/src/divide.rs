@@ -5,10 +5,9 @@
 //! tetrahedra meet face to face, and a triangle of the scene is a union of their faces. Which places are the
 //! same, and which are on a line, is decided modulo two primes as by the checker (`check/residues.rs`).
 
+use dashu_int::IBig;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
-
-use dashu_int::IBig;
 
 use crate::cells::CellsView;
 use crate::check::integers::Integers;

@@ -6,6 +6,7 @@ mod shapes;
 
 use glam::Vec3;
 use proptest::prelude::*;
+use shapes::{lattice_of_cubes, saddle, schonhardt};
 use sightline_geometry::predicates::collinear;
 use sightline_tetra::Quiet;
 use sightline_tetra::cells::{Cells, Counts, NONE, Tetrahedra, cells};
@@ -14,8 +15,6 @@ use sightline_tetra::file::Contents;
 use sightline_tetra::look::Boxes;
 use sightline_tetra::surfaces::{BLOCKS, CLOSED, FLAT, Surfaces};
 use sightline_tetra::windings::windings;
-
-use shapes::{lattice_of_cubes, saddle, schonhardt};
 
 const DIGEST: [u8; 32] = [11; 32];
 

@@ -17,7 +17,7 @@ pub use sightline_viewcells::PartMask;
 
 use rayon::prelude::*;
 use sightline_numbers::Aabb;
-use sightline_sampling::BackendError;
+use sightline_trace::BackendError;
 use sightline_viewcells::part_mask::PARTS;
 use sightline_viewcells::{Lattice, UNITS_PER_CELL};
 

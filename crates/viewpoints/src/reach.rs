@@ -8,11 +8,11 @@
 //! (`sightline-portals`).
 
 use rayon::prelude::*;
-use sightline_sampling::cube::{SKY, face_basis};
-use sightline_sampling::packet::{LANES, Packet};
-use sightline_sampling::sequence::Hashed;
-use sightline_sampling::sight::{Passed, Sight};
 use sightline_scene::{Aabb, Scene};
+use sightline_trace::cube::{SKY, face_basis};
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::sequence::Hashed;
+use sightline_trace::sight::{Passed, Sight};
 use sightline_viewcells::PartMask;
 
 use crate::mesh::winding;

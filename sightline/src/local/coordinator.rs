@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use sightline_coordinator::store::StoreError;
 use sightline_coordinator::{
     Config, ConnectionLimits, Connections, Coordinator, Listener, OpenError,
 };
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1::jobs_client::JobsClient;
+use sightline_store::StoreError;
 use tokio::task::AbortHandle;
 
 use crate::client::Endpoint;

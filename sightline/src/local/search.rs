@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use sightline_model::{JobSpec, Sampler, TracerChoice, Visibility};
-use sightline_sampling::CubeSpec;
+use sightline_trace::CubeSpec;
 use sightline_worker::{Backends, TracedScene, TracerSelection};
 
 use crate::error::Error;

@@ -10,8 +10,8 @@ use sightline_model::{
     CubeCells, CubeParams, Effort, JobSpec, LineAim, MOST_LINE_DEPTH, Method, MethodName,
     OutOfRange, Sampler, SamplerName, Sampling, SceneFacts, Stop, Task, TracerChoice, Visibility,
 };
-use sightline_sampling::embree;
 use sightline_scene::Scene;
+use sightline_trace::embree;
 
 use super::cell_maker::CellMaker;
 use super::cells::Cells;

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use sightline_coordinator::store::{BlobPlace, ObjectFolder, PlaceError};
+use sightline_store::{BlobPlace, ObjectFolder, PlaceError};
 
 use crate::error::Error;
 

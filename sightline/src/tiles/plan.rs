@@ -5,8 +5,8 @@ use std::sync::Arc;
 use serde::Serialize;
 use sightline_coordinator::choose_profile;
 use sightline_model::{JobSpec, PlannedJob, TracerChoice};
-use sightline_sampling::gpu::AdapterChoice;
 use sightline_scene::Scene;
+use sightline_trace::gpu::AdapterChoice;
 use sightline_worker::{Backends, TracedScene, TracerSelection, time_profiles};
 
 use super::place::PlanPlace;

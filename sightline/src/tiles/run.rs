@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use serde::Serialize;
 use sightline_bake::{Alone, BakeError, Control, Inputs, PackBytes, TileDone, Watcher};
-use sightline_sampling::CubeSpec;
-use sightline_sampling::gpu::AdapterChoice;
+use sightline_trace::CubeSpec;
+use sightline_trace::gpu::AdapterChoice;
 use sightline_worker::{Backends, TracedScene, TracerSelection};
 
 use super::place::PlanPlace;

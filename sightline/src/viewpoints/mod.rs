@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use sightline_model::{BoxCells, TracerChoice, Up, Viewpoints};
 use sightline_portals::{Reached, along_walls};
-use sightline_sampling::sight::{Sight, least_step};
-use sightline_sampling::{CubeSpec, PreparedScene, Strata};
 use sightline_scene::{Aabb, Scene, overlap};
+use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::{CubeSpec, PreparedScene, Strata};
 use sightline_viewcells::{Division, Lattice, Layout, PartMask, Plan, Region};
 use sightline_viewpoints::reach::Tracing;
 use sightline_viewpoints::{Parts, ViewpointsError, both, boxes, mark_where, mesh, points, reach};

@@ -12,6 +12,8 @@ use axum::response::{IntoResponse as _, Response};
 use serde::Deserialize;
 use sightline_proto::v1;
 use sightline_proto::v1::jobs_server::Jobs as _;
+use sightline_records::ids::JobId;
+use sightline_scheduler::TileStatus;
 use tokio::sync::mpsc;
 use tonic::{Request, Status};
 
@@ -19,9 +21,7 @@ use super::super::blocking::blocking;
 use super::super::{status, wire};
 use super::site::{Site, failure, json};
 use crate::access::Caller;
-use crate::ids::JobId;
 use crate::jobs::tiles;
-use crate::scheduler::TileStatus;
 use crate::state::Coordinator;
 
 /// Shortest time between two messages about a job.

@@ -12,6 +12,8 @@ use base64::engine::general_purpose::STANDARD;
 use futures::StreamExt as _;
 use serde::Deserialize;
 use sightline_pvs::Pvs;
+use sightline_records::JobPhase;
+use sightline_records::ids::JobId;
 use sightline_view::{Ask, View, dashboard as dashboard_page, page};
 use tonic::Status;
 
@@ -20,11 +22,9 @@ use super::super::jobs::{begin_file, file_name, so_far, take_file};
 use super::super::status;
 use super::site::{Site, failure, json};
 use crate::access::Caller;
-use crate::ids::JobId;
 use crate::results::partial;
 use crate::results::queries;
 use crate::state::Coordinator;
-use crate::store::JobPhase;
 use crate::uploads::spool::Spool;
 
 /// The random word that allows a page's own style and program.

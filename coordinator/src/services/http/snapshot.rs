@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_proto::v1;
+use sightline_records::ids::JobId;
 use tokio::sync::watch;
 
 use super::super::blocking::blocking;
 use super::super::{status, wire};
-use crate::ids::JobId;
 use crate::jobs::control;
 use crate::state::Coordinator;
 
@@ -144,7 +144,7 @@ fn list(c: &Coordinator, mut known: Ended) -> Result<(Listed, bool, Ended), toni
                         .into()
                 }
                 // It was deleted in between.
-                Err(crate::store::StoreError::UnknownJob { .. }) => continue,
+                Err(sightline_store::StoreError::UnknownJob { .. }) => continue,
                 Err(e) => return Err(status::of_store(&e)),
             },
         };

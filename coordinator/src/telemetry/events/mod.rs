@@ -12,10 +12,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
+use sightline_records::ids::{JobId, Lease, TileIndex};
 use tokio::sync::watch;
 
 use self::recent::Recent;
-use crate::ids::{JobId, Lease, TileIndex};
 
 /// Bytes of a text; longer ones are cut. Workers send reasons of any length.
 const MOST_TEXT: usize = 500;

@@ -4,9 +4,9 @@
 use std::collections::VecDeque;
 
 use sightline_numbers::varint;
+use sightline_records::ids::{JobId, TileIndex};
 
 use super::{Entry, Kind, LogEvent};
-use crate::ids::{JobId, TileIndex};
 
 /// Most bytes of the events that are kept. The block that grows may come on top.
 const MOST_BYTES: usize = 8 << 20;

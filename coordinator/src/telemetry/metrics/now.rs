@@ -9,11 +9,11 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
+use sightline_scheduler::{Counts, WorkerStatus};
+use sightline_store::Carried;
 
 use super::Labels;
 use super::disk::{bytes_below, free_bytes};
-use crate::scheduler::{Counts, WorkerStatus};
-use crate::store::Carried;
 
 /// How old the sizes of directories may be: all their files are looked at.
 const SIZES_EVERY: Duration = Duration::from_secs(60);

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use sightline_scheduler::{Counts, WorkerStatus};
+use sightline_store::Carried;
+
 use super::*;
-use crate::scheduler::{Counts, WorkerStatus};
-use crate::store::Carried;
 
 const MANUAL: &str = include_str!("../../../../docs/operations.md");
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use sightline_model::{JobSpec, Visibility};
-use sightline_sampling::{BackendError, CubeSpec, embree::CpuBackend};
 use sightline_scene::Scene;
+use sightline_trace::{BackendError, CubeSpec, embree::CpuBackend};
 
 /// Returns the cubes of a job, or the default cubes if it renders none.
 fn cubes(spec: &JobSpec) -> CubeSpec {

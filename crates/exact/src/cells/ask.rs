@@ -3,6 +3,8 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
+use sightline_certificate::{Target, Witness};
+use sightline_geometry::bvh::Below;
 use sightline_numbers::Aabb;
 
 use crate::arithmetic::random::Random;
@@ -15,8 +17,6 @@ use crate::geometry::{Source, predicates};
 use crate::occluders::segment::shows;
 use crate::occluders::{OccluderId, Occluders};
 use crate::search::{Cost, Reason};
-use sightline_certificate::{Target, Witness};
-use sightline_geometry::bvh::Below;
 
 /// How far a rounded witness extends beyond the triangle, as a fraction of the segment's length.
 const BEYOND: f64 = 1e-5;

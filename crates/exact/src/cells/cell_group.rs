@@ -5,6 +5,8 @@
 //! see, and triangles that all cells are known not to see, are not queried from the box.
 
 use rayon::prelude::*;
+use sightline_certificate::GroupCertificate;
+use sightline_numbers::Aabb;
 
 use crate::cells::exact_scene::ExactScene;
 use crate::cells::sources::Places;
@@ -13,8 +15,6 @@ use crate::cells::task::Task;
 use crate::cells::work::{State, Work};
 use crate::geometry::Cell;
 use crate::search::Limits;
-use sightline_certificate::GroupCertificate;
-use sightline_numbers::Aabb;
 
 /// A group of cells whose common hidden triangles are to be found.
 pub struct CellGroup<'a> {

@@ -11,13 +11,13 @@
 //! holds.
 
 use rayon::prelude::*;
+use sightline_certificate::Witness;
 
 use crate::cells::ask::{Asked, Item};
 use crate::cells::from_cell::Found;
 use crate::cells::rays;
 use crate::cells::task::{Decided, Task};
 use crate::cells::work::{State, Work};
-use sightline_certificate::Witness;
 
 /// Decides every triangle with area.
 pub fn decide(task: &Task<'_>) -> Decided {

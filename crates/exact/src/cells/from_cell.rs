@@ -6,6 +6,7 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
+use sightline_certificate::proof::Proof;
 use sightline_numbers::Aabb;
 
 use crate::cells::sources::Sources;
@@ -13,7 +14,6 @@ use crate::geometry::polygon::Polygon;
 use crate::geometry::{Cell, Source};
 use crate::occluders::Occluders;
 use crate::search::{Cost, Limits, Reason, Verdict, sightlines_until};
-use sightline_certificate::proof::Proof;
 
 /// The answer to a query about a triangle or a box from a cell.
 #[derive(Clone, Debug)]

@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 use std::collections::{BTreeMap, BinaryHeap};
 
 use rayon::prelude::*;
+use sightline_geometry::bvh::Below;
 use sightline_numbers::Aabb;
 
 use crate::cells::ask::{Asked, Item};
@@ -11,7 +12,6 @@ use crate::cells::from_cell::Found;
 use crate::cells::progress::Progress;
 use crate::cells::work::{State, Work};
 use crate::occluders::OccluderId;
-use sightline_geometry::bvh::Below;
 
 /// Number of queries that run in parallel: enough to keep a few cores busy, few enough to keep the order by
 /// size.

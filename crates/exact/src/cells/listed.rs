@@ -4,10 +4,11 @@
 //! visible, closed surfaces hide some of the others, rays show most of the visible ones, and what is left is
 //! undecided. No query is asked, so this takes a small fraction of the time of [`crate::decide()`].
 
+use sightline_certificate::Witness;
+
 use crate::cells::rays;
 use crate::cells::task::{Decided, Task};
 use crate::cells::work::{State, Work};
-use sightline_certificate::Witness;
 
 /// Segments tried for one triangle. Most that are left are hidden, and more tries show few of the others.
 const TRIES: u32 = 16;

@@ -1,8 +1,9 @@
 //! The states of the triangles below each node of the hierarchy while they are decided.
 
+use sightline_geometry::bvh::Below;
+
 use crate::cells::work::State;
 use crate::occluders::Occluders;
-use sightline_geometry::bvh::Below;
 
 /// The states of the triangles below a node, summarised.
 #[derive(Clone, Copy, Default)]

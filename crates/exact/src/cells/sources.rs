@@ -6,12 +6,12 @@
 //! that meet it and those that are seen from its parts of the faces.
 
 use glam::Vec3;
+use sightline_certificate::certificate::faces;
 use sightline_numbers::Aabb;
 
 use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::geometry::polygon::Polygon;
-use sightline_certificate::certificate::faces;
 
 /// The part of space where viewpoints are. Within a cell, a free segment that begins in it must not leave it.
 pub trait Places: Sync {

@@ -1,11 +1,12 @@
 //! The task of deciding one view cell, and its result.
 
+use sightline_certificate::CellCertificate;
+
 use crate::cells::exact_scene::ExactScene;
 use crate::cells::sources::Places;
 use crate::cells::statistics::QueryStatistics;
 use crate::geometry::Cell;
 use crate::search::Limits;
-use sightline_certificate::CellCertificate;
 
 /// The task of deciding one cell.
 pub struct Task<'a> {

@@ -3,15 +3,15 @@
 use std::cmp::Ordering;
 
 use rayon::prelude::*;
+use sightline_certificate::proof::Proof;
+use sightline_certificate::{HiddenGroup, Target, Witness};
+use sightline_geometry::bvh::{Below, Bvh};
 use sightline_scene::{Triangle, overlap};
 
 use crate::cells::sources::Sources;
 use crate::cells::task::{Decided, Task};
 use crate::search::Reason;
 use crate::surfaces::Hides;
-use sightline_certificate::proof::Proof;
-use sightline_certificate::{HiddenGroup, Target, Witness};
-use sightline_geometry::bvh::{Below, Bvh};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {

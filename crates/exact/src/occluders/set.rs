@@ -3,13 +3,13 @@
 use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::proof::OccluderTriangle;
+use sightline_geometry::bvh::Bvh;
 use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
 use super::boundary_edges::BoundaryEdges;
 use super::merge::Faces;
 use super::occluder::{Occluder, OccluderId, border};
-use sightline_geometry::bvh::Bvh;
 
 /// All occluders of a scene.
 pub struct Occluders {

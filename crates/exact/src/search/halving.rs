@@ -1,7 +1,8 @@
 //! Which polygon of a pair to halve, and where.
 
-use crate::geometry::polygon::Polygon;
 use sightline_certificate::proof::Which;
+
+use crate::geometry::polygon::Polygon;
 
 /// The polygon with the longest edge, and where to halve it.
 pub fn widest(a: &Polygon, b: &Polygon) -> (Which, [u16; 2]) {

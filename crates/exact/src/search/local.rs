@@ -4,6 +4,7 @@ use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
 use rustc_hash::FxHashMap;
+use sightline_certificate::proof::OccluderTriangle;
 
 use crate::geometry::polygon::Polygon;
 use crate::line_space::forms::Forms;
@@ -14,7 +15,6 @@ use crate::search::corners::Corners;
 use crate::search::edges::{Edge, EdgeLines};
 use crate::search::maps::with_room;
 use crate::search::side_bitsets::{Limit, SideBitsets};
-use sightline_certificate::proof::OccluderTriangle;
 
 /// An end of a sight line: a point of the space, and its rounded place in the world.
 pub type Snapped = (u32, DVec3);

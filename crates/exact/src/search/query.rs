@@ -9,6 +9,8 @@
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
+use sightline_certificate::proof::{Proof, Step, Which};
+
 use crate::geometry::frame::{Frame, Source};
 use crate::geometry::parts::parts;
 use crate::geometry::polygon::Polygon;
@@ -22,7 +24,6 @@ use crate::search::halving::widest;
 use crate::search::local::{Local, Snapped, triangles};
 use crate::search::trace::Met;
 use crate::search::verdict::{Cost, Limits, Reason, Verdict};
-use sightline_certificate::proof::{Proof, Step, Which};
 
 /// Whether any part of `b` is seen from `a`, each a convex polygon or the parts of one.
 pub fn sightlines(

@@ -10,6 +10,7 @@
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
+use sightline_certificate::proof::Which;
 
 use crate::arithmetic::number::primitive;
 use crate::geometry::frame::{Frame, Source};
@@ -23,7 +24,6 @@ use crate::line_space::stabbing_polyhedron;
 use crate::search::halving::widest;
 use crate::search::local::{Local, Snapped};
 use crate::search::verdict::{Cost, Limits, Reason};
-use sightline_certificate::proof::Which;
 
 /// Normals that are compared with those of the next polygon; a line has one direction.
 const MOST_NORMALS: usize = 12;

@@ -1,8 +1,9 @@
 //! Limits, verdict and cost of a query between two polygons.
 
+use sightline_certificate::proof::Proof;
+
 use crate::geometry::Source;
 use crate::line_space::Decisions;
-use sightline_certificate::proof::Proof;
 
 /// The limits at which a query ends undecided.
 #[derive(Clone, Copy, Debug)]

@@ -16,7 +16,9 @@ use std::cmp::Ordering;
 
 use glam::Vec3;
 use rayon::prelude::*;
+use sightline_certificate::certificate::few_odd_edges;
 use sightline_geometry::predicates::orient3d_sign;
+use sightline_geometry::predicates::{Crossing, crossing};
 use sightline_numbers::union_find::UnionFind;
 
 use super::crossing_order::sooner;
@@ -25,8 +27,6 @@ use super::piercing::may_pierce;
 use crate::arithmetic::random::Random;
 use crate::geometry::Cell;
 use crate::occluders::Occluders;
-use sightline_certificate::certificate::few_odd_edges;
-use sightline_geometry::predicates::{Crossing, crossing};
 
 /// Segments tried to find a parity; most first ones are in general position.
 const TRIES: u32 = 6;

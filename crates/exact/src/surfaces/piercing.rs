@@ -3,9 +3,8 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
-use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
-
 use sightline_geometry::predicates::{Crossing, crossing};
+use sightline_geometry::predicates::{orient2d_sign, orient3d_sign};
 
 /// Whether a triangle `u` may have a point inside `t`. `ct` and `cu` number the corners; equal positions have
 /// equal numbers.

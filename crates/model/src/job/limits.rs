@@ -1,10 +1,11 @@
 //! The combinations that a job can express and that are not built. A feature that builds one deletes its row.
 
+use sightline_viewcells::Division;
+
 use super::SpecError;
 use super::names::CellToCell;
 use super::visibility::{Visibility, count};
 use crate::output::pairs::MOST_PAIR_CELLS;
-use sightline_viewcells::Division;
 
 /// Checks a task against the combinations that are built.
 ///

@@ -9,9 +9,6 @@ use hashbrown::hash_table::Entry;
 use rayon::prelude::*;
 use rustc_hash::{FxBuildHasher, FxHashMap};
 
-use crate::surfaces::Surfaces;
-use crate::watch::{Stage, Watch};
-
 use super::bsp::{Cuts, Cutter};
 use super::facets::{Faces, Parts, of_cuts, of_face};
 use super::flood::{Meetings, TrianglePlanes, meetings};
@@ -20,6 +17,8 @@ use super::local::{Decisions, Local, World};
 use super::planes::{NONE, Plane, PlaneTable};
 use super::polygon::{Corners, Polygon, reverse};
 use super::result::{Cells, Counts, FaceRecord};
+use crate::surfaces::Surfaces;
+use crate::watch::{Stage, Watch};
 
 /// Memory that a tetrahedron takes with its faces, and that every triangle adds that passes through one: the
 /// peak of whole runs of `sightline tetra --json` on scenes of 12 231 to 147 829 triangles, which took 489

@@ -8,10 +8,9 @@
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
-use crate::surfaces::{FLAT, Surfaces};
-
 use super::input::{CellsError, Tetrahedra, face};
 use super::planes::{NONE, Plane, axis_apart};
+use crate::surfaces::{FLAT, Surfaces};
 
 /// A face: its tetrahedron times four, and the corner that it is opposite. Of the two numbers that an inner
 /// face has, the lesser.

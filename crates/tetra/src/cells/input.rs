@@ -1,8 +1,7 @@
 //! Any tetrahedra that fill a box face to face, and what is wrong with others.
 
-use crate::surfaces::Surfaces;
-
 use super::planes::NONE;
+use crate::surfaces::Surfaces;
 
 /// Tetrahedra that fill a box face to face.
 #[derive(Clone, Copy, Debug)]

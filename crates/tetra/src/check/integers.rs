@@ -6,10 +6,9 @@ use dashu_int::IBig;
 use rustc_hash::FxHashMap;
 use sightline_geometry::predicates::dyadic;
 
-use crate::cells::{CellsView, Plane};
-
 use super::fault::Fault;
 use super::residues::{Field, Place};
+use crate::cells::{CellsView, Plane};
 
 /// Points as integers, all in the same unit.
 pub(crate) struct Integers<'a> {

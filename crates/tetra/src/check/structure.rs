@@ -1,9 +1,8 @@
 //! That every number in the lists names something, and that faces and cells list each other.
 
+use super::fault::Fault;
 use crate::cells::{CellsView, NONE, Plane};
 use crate::surfaces::SurfacesView;
-
-use super::fault::Fault;
 
 /// Checks all lists.
 pub(crate) fn check(cells: CellsView<'_>, surfaces: SurfacesView<'_>) -> Result<(), Fault> {

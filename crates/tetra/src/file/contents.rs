@@ -3,13 +3,12 @@
 
 use bytemuck::{AnyBitPattern, cast_slice};
 
+use super::error::TetsError;
+use super::layout::{Layout, Section};
 use crate::cells::CellsView;
 use crate::check::structure;
 use crate::look::{Boxes, neighbours};
 use crate::surfaces::{BLOCKS, CLOSED, FLAT, SHOWS, SurfacesView};
-
-use super::error::TetsError;
-use super::layout::{Layout, Section};
 
 #[cfg(target_endian = "big")]
 compile_error!("a .tets file is used in place, and its numbers are little-endian");

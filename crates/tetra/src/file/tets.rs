@@ -4,11 +4,10 @@ use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
 
-use crate::look::{Budget, Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
-
 use super::contents::Contents;
 use super::error::TetsError;
 use super::layout::Layout;
+use crate::look::{Budget, Engine, LookError, Looker, Mode, Scratch, Seen, Target, View};
 
 /// An opened file. Threads can share it, each with a [`Scratch`] of its own.
 pub struct Tets {

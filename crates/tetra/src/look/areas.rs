@@ -1,8 +1,8 @@
 //! Solid angles of beams, also of the part of a beam within round cones.
 
-use sightline_geometry::vector::{cross, dot};
-
 use std::f64::consts::PI;
+
+use sightline_geometry::vector::{cross, dot};
 
 use super::beam::Edge;
 use super::rounded::{V, unit};

@@ -1,13 +1,12 @@
 //! What is seen in a beam that has gone through everything in front of its cap.
 
-use crate::surfaces::{BLOCKS, SHOWS};
-
 use super::beam::{self, Place};
 use super::outline::Outline;
 use super::planes::Facing;
 use super::scratch::Scratch;
 use super::search::Search;
 use super::stack::Beam;
+use crate::surfaces::{BLOCKS, SHOWS};
 
 impl Search<'_> {
     /// Ends a beam: counts what is seen in it.

@@ -8,8 +8,6 @@
 //! with the points of a piece is seen with it, and another one in its plane is left to [`super::meeting`].
 //! What is behind a patch that covers the beam is forgotten for all parts of the beam.
 
-use crate::surfaces::BLOCKS;
-
 use super::beam::{self, Place, reach};
 use super::beside::Edges;
 use super::meeting::keep;
@@ -20,6 +18,7 @@ use super::planes::{Facing, Side};
 use super::scratch::Scratch;
 use super::search::Search;
 use super::stack::{Beam, NO_HINT};
+use crate::surfaces::BLOCKS;
 
 /// Patches that are tried in front of one another before the beam is cut along a triangle's edges. Surfaces
 /// that do not cross have an order, so this is seldom reached.

@@ -5,13 +5,12 @@
 
 use sightline_geometry::vector::{cross, dot};
 
-use crate::surfaces::BLOCKS;
-
 use super::beam::center;
 use super::planes::Facing;
 use super::rounded::V;
 use super::search::Search;
 use super::stack::Beam;
+use crate::surfaces::BLOCKS;
 
 /// A line from the viewpoint, and the first triangle on it so far.
 struct Ray {

@@ -1,9 +1,8 @@
 //! A hierarchy of boxes over the triangles that block or show, and which triangles are neighbours.
 
-use crate::surfaces::{BLOCKS, FLAT, SHOWS, SurfacesView};
-
 use super::neighbours;
 use super::rounded::BOUND;
+use crate::surfaces::{BLOCKS, FLAT, SHOWS, SurfacesView};
 
 /// A box with two boxes or some triangles in it. 32 bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]

@@ -2,9 +2,6 @@
 
 use thiserror::Error;
 
-use crate::cells::CellsView;
-use crate::surfaces::{FLAT, SHOWS, SurfacesView};
-
 use super::eye::{Eye, unit_of};
 use super::hierarchy::Boxes;
 use super::scratch::Scratch;
@@ -13,6 +10,8 @@ use super::space::Space;
 use super::stack::Entry;
 use super::view::{Engine, Mode, Seen, Target, View};
 use super::within::Limits;
+use crate::cells::CellsView;
+use crate::surfaces::{FLAT, SHOWS, SurfacesView};
 
 /// What is wrong with a question.
 #[derive(Clone, Debug, Error, PartialEq)]

@@ -1,8 +1,6 @@
 //! What happens where a beam meets a triangle: it is divided along the triangle's edges, and along the line
 //! where the triangle comes in front of the cap.
 
-use crate::surfaces::BLOCKS;
-
 use super::beam::{self, Edge, Place};
 use super::planes::{Facing, Planes, Side};
 use super::scratch::Scratch;
@@ -10,6 +8,7 @@ use super::search::Search;
 use super::stack::{Beam, NO_HINT};
 use super::view::{Mode, Seen};
 use super::within::Limits;
+use crate::surfaces::BLOCKS;
 
 impl Search<'_> {
     /// Meets a triangle. Says whether the beam was divided, and its parts are on the stack.

@@ -8,8 +8,6 @@
 //! cap. The order of the work decides how long it takes, never what comes out (Weiler and Atherton, "Hidden
 //! Surface Removal Using Polygon Area Sorting", 1977, cut in the same way and sort first).
 
-use crate::surfaces::BLOCKS;
-
 use super::areas::area;
 use super::beam::{self, Place, reach};
 use super::eye::Eye;
@@ -20,6 +18,7 @@ use super::space::{Space, THROUGH_FACE};
 use super::stack::{Beam, Entry, NO_HINT};
 use super::view::{Mode, Seen};
 use super::within::Limits;
+use crate::surfaces::BLOCKS;
 
 /// What a search looks at.
 pub(super) struct Scene<'a> {

@@ -7,13 +7,12 @@
 
 use sightline_geometry::rounding::UNIT as U;
 
-use crate::cells::{CellsView, NONE};
-
 use super::beam::Edge;
 use super::eye::{self, Eye, Integers};
 use super::planes::{Facing, Planes};
 use super::rounded::Rounded;
 use super::stack::Entry;
+use crate::cells::{CellsView, NONE};
 
 /// In place of a number of triangles: a cell to enter by the face that is listed.
 pub const THROUGH_FACE: u32 = u32::MAX;

@@ -5,8 +5,9 @@
 //! needed. Where that fails, the cut is computed in double-doubles from its parents, after all vectors they
 //! are constructed from.
 
-use sightline_geometry::rounding::UNIT as U;
 use std::cmp::Ordering;
+
+use sightline_geometry::rounding::UNIT as U;
 
 use super::solved::Solved;
 use super::{Near, Origin, Space, Vector, VectorId, klein};

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use proptest::prelude::*;
 use sightline_viewcells::Split;
 
 use super::write::{MANY, put_cell};
@@ -9,7 +10,6 @@ use super::*;
 use crate::output::{CellSet, CellSets, Decision, Hits, Node, VisibilitySample};
 use crate::pairs::{PairTable, TilePairs};
 use crate::statistics::CellStats;
-use proptest::prelude::*;
 
 fn ids() -> impl Strategy<Value = Vec<u32>> {
     proptest::collection::btree_set(0u32..1000, 0..20).prop_map(|s| s.into_iter().collect())

@@ -1,11 +1,12 @@
 //! Tests of the decoders against the encoders of `meshopt-rs`.
 
-use super::*;
 use meshopt_rs::index::IndexEncodingVersion;
 use meshopt_rs::index::{buffer as ix, sequence};
 use meshopt_rs::vertex::VertexEncodingVersion;
 use meshopt_rs::vertex::buffer as vx;
 use proptest::prelude::*;
+
+use super::*;
 
 fn view(mode: &str, count: usize, stride: usize, filter: Option<&str>) -> MeshoptView {
     MeshoptView {

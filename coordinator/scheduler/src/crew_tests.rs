@@ -1,0 +1,117 @@
+//! Who helps whom: two tiles, more workers.
+
+use sightline_records::ids::{Lease, WorkerId};
+
+use super::event::Event;
+use super::messages::WorkerCommand;
+use super::tests::{Bench, two_tiles};
+
+/// The leaders whom a worker was told to help, in their order.
+fn helps(b: &Bench, worker: WorkerId) -> Vec<Lease> {
+    let told = b.told.get(&worker).into_iter().flatten();
+    told.filter_map(|o| {
+        if let WorkerCommand::Help(help) = o {
+            Some(help.lease)
+        } else {
+            None
+        }
+    })
+    .collect()
+}
+
+/// Two leaders with a tile each, and their leases.
+fn two_leaders() -> (Bench, [WorkerId; 2], [Lease; 2]) {
+    let mut b = two_tiles();
+    let leaders = ["a", "b"].map(|name| b.join(name));
+    leaders.iter().for_each(|w| b.want(*w, 1));
+    let leases = leaders.map(|w| b.grants(w)[0]);
+    (b, leaders, leases)
+}
+
+#[test]
+fn idle_workers_are_spread_over_the_crews() {
+    let (mut b, _, [one, two]) = two_leaders();
+    let early = b.join("early");
+    b.want(early, 2);
+    assert_eq!(helps(&b, early), []);
+    b.step(Event::CrewOpened(one));
+    assert_eq!(helps(&b, early), [one]);
+    b.step(Event::CrewOpened(two));
+    let late = b.join("late");
+    assert_eq!(helps(&b, late), [], "it wants nothing yet");
+    b.want(late, 2);
+    assert_eq!(helps(&b, late), [two]);
+    // A helper that comes back is sent on.
+    b.step(Event::CrewClosed(one));
+    b.step(Event::Helped(early, one));
+    assert_eq!(helps(&b, early), [one, two]);
+    b.step(Event::Helped(early, one));
+    assert_eq!(
+        helps(&b, early).len(),
+        2,
+        "an answer to an earlier order changes nothing"
+    );
+}
+
+#[test]
+fn a_crew_has_at_most_31_helpers() {
+    let (mut b, _, [one, two]) = two_leaders();
+    b.step(Event::CrewOpened(one));
+    let helpers: Vec<WorkerId> = (0..32).map(|i| b.join(&format!("helper {i}"))).collect();
+    helpers.iter().for_each(|w| b.want(*w, 2));
+    let with = |b: &Bench, lease| {
+        helpers
+            .iter()
+            .filter(|w| helps(b, **w).last() == Some(&lease))
+            .count()
+    };
+    assert_eq!((with(&b, one), with(&b, two)), (31, 0));
+    // The one that was left helps, and others move until both crews have as many.
+    b.step(Event::CrewOpened(two));
+    assert_eq!((with(&b, one), with(&b, two)), (16, 16));
+}
+
+#[test]
+fn a_helper_that_gets_a_tile_is_called_back_first() {
+    let (mut b, [leader, other], [one, two]) = two_leaders();
+    b.step(Event::CrewOpened(one));
+    let helper = b.join("helper");
+    b.want(helper, 2);
+    assert_eq!(helps(&b, helper), [one]);
+    // A tile is free again.
+    b.step(Event::Drains(other));
+    b.fail(other, two, true);
+    b.wait(3);
+    let tail: Vec<&WorkerCommand> = b.told[&helper].iter().rev().take(2).collect();
+    assert!(
+        matches!(tail[0], WorkerCommand::Grant(grant) if grant.lease.tile == two.tile),
+        "{tail:?}"
+    );
+    assert_eq!(tail[1], &WorkerCommand::Revoke(one));
+    b.step(Event::Helped(helper, one));
+    assert_eq!(helps(&b, helper), [one], "it has a tile of its own");
+    b.leave(leader);
+}
+
+#[test]
+fn helpers_and_leaders_that_vanish_are_forgotten() {
+    let (mut b, [leader, _], [one, _]) = two_leaders();
+    let stray = Lease {
+        tile: sightline_records::ids::TileIndex(1),
+        ..one
+    };
+    b.step(Event::CrewOpened(stray));
+    b.step(Event::CrewOpened(one));
+    b.step(Event::CrewOpened(one));
+    let (first, second) = (b.join("first"), b.join("second"));
+    b.want(first, 2);
+    b.leave(first);
+    b.want(second, 2);
+    assert_eq!(helps(&b, second), [one]);
+    b.leave(leader);
+    b.wait(5);
+    // The leader's tile went to the helper.
+    assert_eq!(b.grants(second).len(), 1);
+    b.step(Event::HelpUndelivered(second, one));
+    b.wait(2);
+}

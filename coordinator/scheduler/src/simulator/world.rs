@@ -1,0 +1,291 @@
+//! The simulated world: time, streams, the store, the coordinator around its state machine, and the checks.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use sightline_model::PlannedJob;
+use sightline_numbers::random::SplitMix64;
+use sightline_records::JobPhase;
+use sightline_records::ids::{JobId, Lease, LeaseId, TileIndex};
+use sightline_store::MemoryStore;
+use sightline_viewcells::Plan;
+
+use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
+use crate::{Effect, Event, Job, Now, Output, Scheduler, WorkerCommand};
+
+pub(super) const TTL: u64 = 10_000;
+/// After a restart nothing that may be held is leased for this long.
+const GRACE: u64 = 2500;
+/// Faults stop then.
+pub(super) const FAULTS: u64 = 120_000;
+
+/// The world.
+pub(super) struct World {
+    pub(super) random: SplitMix64,
+    /// Decides about crews, users and priorities alone, so that schedules without crews stay what they were.
+    crews: SplitMix64,
+    pub(super) now: u64,
+    pub(super) unix_ms: u64,
+    next: u64,
+    pub(super) queue: BTreeMap<(u64, u64), Happening>,
+    pub(super) ground: Ground,
+    /// The share of tiles that are computed again.
+    pub(super) spot_check: f64,
+    pub(super) scheduler: Option<Scheduler>,
+    /// Lives of the coordinator.
+    pub(super) life: u64,
+    pub(super) epoch: u64,
+    pub(super) stalled_until: u64,
+    pub(super) disk_full: bool,
+    pub(super) streams: Vec<StreamEnds>,
+    pub(super) workers: Vec<Worker>,
+    pub(super) plans: BTreeMap<JobId, Plan>,
+    poison: BTreeSet<(JobId, TileIndex)>,
+    /// Tiles whose workers die.
+    pub(super) lethal: BTreeSet<(JobId, TileIndex)>,
+    /// Outputs that were acknowledged.
+    pub(super) acknowledged: BTreeMap<(JobId, TileIndex), Vec<u8>>,
+    pub(super) leased: BTreeSet<LeaseId>,
+    /// Jobs that ran before the last start of the coordinator, and when that was.
+    pub(super) ran_before: BTreeSet<JobId>,
+    pub(super) started: u64,
+    /// Tiles that workers have claimed since then.
+    pub(super) claimed: BTreeSet<(JobId, TileIndex)>,
+    pub(super) tile_ms: u64,
+    pub(super) slowest_link: u64,
+}
+
+impl World {
+    /// A world without workers and jobs.
+    pub(super) fn new(random: SplitMix64, tile_ms: u64, slowest_link: u64) -> Self {
+        Self {
+            crews: SplitMix64::named(&[random.clone().bits(), 1]),
+            random,
+            now: 0,
+            unix_ms: 1_000_000_000,
+            next: 0,
+            queue: BTreeMap::new(),
+            ground: Ground::Memory(MemoryStore::new()),
+            spot_check: 0.0,
+            scheduler: None,
+            life: 0,
+            epoch: 0,
+            stalled_until: 0,
+            disk_full: false,
+            streams: Vec::new(),
+            workers: Vec::new(),
+            plans: BTreeMap::new(),
+            poison: BTreeSet::new(),
+            lethal: BTreeSet::new(),
+            acknowledged: BTreeMap::new(),
+            leased: BTreeSet::new(),
+            ran_before: BTreeSet::new(),
+            started: 0,
+            claimed: BTreeSet::new(),
+            tile_ms,
+            slowest_link,
+        }
+    }
+
+    pub(super) fn below(&mut self, n: u64) -> u64 {
+        self.random.bits() % n.max(1)
+    }
+
+    pub(super) fn one_in(&mut self, n: u64) -> bool {
+        self.below(n) == 0
+    }
+
+    pub(super) fn delay(&mut self) -> u64 {
+        1 + self.below(self.slowest_link)
+    }
+
+    pub(super) fn faults_on(&self) -> bool {
+        self.now < FAULTS
+    }
+
+    pub(super) fn after(&mut self, wait: u64, happening: Happening) {
+        self.at(self.now + wait, happening);
+    }
+
+    pub(super) fn at(&mut self, at: u64, happening: Happening) {
+        self.next += 1;
+        self.queue.insert((at, self.next), happening);
+    }
+
+    /// Something about a crew happens within `most` milliseconds, if the coordinator lives so long.
+    pub(super) fn crew(&mut self, most: u64, event: Event) {
+        let wait = 1 + self.crews.bits() % most;
+        self.after(wait, Happening::Crew(self.life, Box::new(event)));
+    }
+
+    /// The user and the priority of a job.
+    pub(super) fn submitter(&mut self) -> (&'static str, i32) {
+        let of = self.crews.bits();
+        (
+            ["one", "two"][(of % 2) as usize],
+            [0, 0, 1][(of / 2 % 3) as usize],
+        )
+    }
+
+    /// Once in a while a client gives a job another priority.
+    pub(super) fn prioritize(&mut self) -> Result<(), String> {
+        let of = self.crews.bits();
+        let (open, priority) = (self.open_jobs(), (of / 8 % 3) as i32 - 1);
+        if open.is_empty() || !of.is_multiple_of(8) {
+            return Ok(());
+        }
+        let (id, _) = open[(of / 24) as usize % open.len()];
+        match self.store().prioritize_job(id, priority) {
+            Ok(record) => self.tell(Event::JobChanged(Box::new(record))),
+            Err(e) => self.refused(&e).map(drop),
+        }
+    }
+
+    pub(super) fn poison(&mut self, job: JobId, tile: TileIndex) {
+        self.poison.insert((job, tile));
+    }
+
+    pub(super) fn poisoned(&self, lease: &Lease) -> bool {
+        self.poison.contains(&(lease.job, lease.tile))
+    }
+
+    pub(super) fn is_lethal(&self, lease: &Lease) -> bool {
+        self.lethal.contains(&(lease.job, lease.tile))
+    }
+
+    pub(super) fn open_jobs(&self) -> Vec<(JobId, JobPhase)> {
+        let jobs = self.store().jobs().unwrap();
+        let all = jobs.iter().map(|j| (j.id, j.state.phase()));
+        all.filter(|(_, phase)| !phase.ended()).collect()
+    }
+
+    pub(super) fn open_stream(&mut self, worker: usize) -> usize {
+        let (life, now) = (self.life, self.now);
+        let stream = StreamEnds {
+            worker,
+            life,
+            number: None,
+            closed: false,
+            up_at: now,
+            down_at: now,
+        };
+        self.streams.push(stream);
+        self.streams.len() - 1
+    }
+
+    pub(super) fn send_up(&mut self, stream: usize, up: Up) {
+        let at = (self.now + self.delay()).max(self.streams[stream].up_at);
+        self.streams[stream].up_at = at;
+        self.at(at, Happening::Up(stream, up));
+    }
+
+    pub(super) fn send_down(&mut self, stream: usize, down: Down) {
+        let at = (self.now + self.delay()).max(self.streams[stream].down_at);
+        self.streams[stream].down_at = at;
+        self.at(at, Happening::Down(stream, down));
+    }
+
+    /// A worker ends its stream in order: everything that it said arrives first.
+    pub(super) fn close_up(&mut self, stream: usize) {
+        let at = self.streams[stream].up_at;
+        self.at(at.max(self.now), Happening::UpBroken(stream));
+    }
+
+    /// A stream breaks: what is under way is lost, and both ends notice it after a while.
+    pub(super) fn break_stream(&mut self, stream: usize, longest: u64) {
+        self.streams[stream].closed = true;
+        let (up, down) = (self.below(longest), self.below(longest));
+        self.after(up, Happening::UpBroken(stream));
+        self.after(down, Happening::DownBroken(stream));
+    }
+
+    /// A job as the store has it.
+    pub(super) fn job(&self, id: JobId) -> Job {
+        let work = PlannedJob::with_plan(spec(), self.plans[&id].clone());
+        Job::with(
+            self.store().job(id).unwrap().unwrap(),
+            Arc::new(work),
+            self.store().tiles(id).unwrap(),
+        )
+    }
+
+    /// Passes an event to the scheduler, checks the scheduler, and carries out its effects.
+    pub(super) fn tell(&mut self, event: Event) -> Result<(), String> {
+        let now = Now {
+            ms: self.now,
+            unix_ms: self.unix_ms,
+        };
+        let tick = matches!(event, Event::Tick);
+        let Some(scheduler) = &mut self.scheduler else {
+            return Ok(());
+        };
+        let effects = scheduler.step(event, now);
+        scheduler.check()?;
+        if tick {
+            scheduler.check_expiries(now)?;
+        }
+        effects
+            .into_iter()
+            .try_for_each(|effect| self.carry(effect))
+    }
+
+    pub(super) fn carry(&mut self, effect: Effect) -> Result<(), String> {
+        match effect {
+            Effect::Tell(worker, order) => {
+                let stream = self
+                    .streams
+                    .iter()
+                    .rposition(|s| s.number == Some(worker) && s.life == self.life);
+                if let WorkerCommand::Grant(grant) = &order {
+                    self.may_lease(&grant.lease)?;
+                }
+                let Some(stream) = stream else {
+                    return Err("an order to nobody".to_owned());
+                };
+                match order {
+                    WorkerCommand::Grant(grant) => self.send_down(stream, Down::Grant(grant.lease)),
+                    WorkerCommand::Revoke(lease) => self.send_down(stream, Down::Revoke(lease)),
+                    WorkerCommand::Help(help) => {
+                        let back = Event::Helped(worker, help.lease);
+                        self.crew(3000, back);
+                    }
+                    WorkerCommand::Time { .. } => {}
+                }
+            }
+            Effect::Run(command) => {
+                let wait = self.below(20);
+                self.after(wait, Happening::Run(self.life, Box::new(command)));
+            }
+            Effect::Assemble(job) => {
+                let wait = self.below(500);
+                self.after(wait, Happening::Assemble(self.life, job));
+            }
+            Effect::Changed(_) | Effect::Note(_) | Effect::Joined(_) | Effect::Left(_) => {}
+        }
+        Ok(())
+    }
+
+    fn may_lease(&mut self, lease: &Lease) -> Result<(), String> {
+        if !self.leased.insert(lease.id) {
+            return Err(format!("{lease:?} is given twice"));
+        }
+        // A tile that its worker has claimed may change hands.
+        let claimed = self.claimed.contains(&(lease.job, lease.tile));
+        // The check of a done tile does not affect the worker that made the tile.
+        let job = self
+            .scheduler
+            .as_ref()
+            .and_then(|scheduler| scheduler.job(lease.job));
+        let is_open = job.is_some_and(|job| job.tiles[lease.tile.at()].output == Output::Open);
+        if is_open
+            && self.ran_before.contains(&lease.job)
+            && !claimed
+            && self.now < self.started + GRACE
+        {
+            return Err(format!(
+                "{lease:?} is given while an earlier epoch's worker may hold the tile"
+            ));
+        }
+        Ok(())
+    }
+}

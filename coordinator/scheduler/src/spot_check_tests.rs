@@ -1,0 +1,269 @@
+//! Spot checks: who computes a tile again, and what follows from its bytes.
+
+use sightline_records::ids::{JobId, Lease, TileIndex, WorkerId};
+use sightline_records::{JobPhase, JobState, TileStats};
+
+use super::tests::{Bench, empty};
+use super::*;
+
+const RIGHT: [u8; 32] = [1; 32];
+const WRONG: [u8; 32] = [2; 32];
+
+/// A job of one tile, all of whose tiles are checked.
+fn checked() -> (Bench, JobId) {
+    let mut bench = empty(1);
+    bench.scheduler.settings.spot_check = 1.0;
+    let job = bench.add(1, "", 0, false);
+    (bench, job)
+}
+
+impl Bench {
+    /// A worker delivers the tile that it was granted last.
+    fn deliver(&mut self, worker: WorkerId, name: &str, digest: [u8; 32]) {
+        let lease = *self.grants(worker).last().unwrap();
+        let checks = self.scheduler.admit(&lease).unwrap().checks;
+        if checks {
+            self.step(Event::Checked { lease, digest });
+        } else {
+            let stats = TileStats {
+                worker: name.to_owned(),
+                ..TileStats::default()
+            };
+            self.step(Event::Committed {
+                lease,
+                digest,
+                stats,
+            });
+        }
+        self.want(worker, 1);
+    }
+
+    fn arrive(&mut self, name: &str) -> WorkerId {
+        let worker = self.join(name);
+        self.want(worker, 1);
+        worker
+    }
+
+    fn condemned(&self) -> Vec<String> {
+        let names = |c: &StoreCommand| match c {
+            StoreCommand::Quarantine { workers, .. } => workers.clone(),
+            _ => Vec::new(),
+        };
+        self.ran.iter().flat_map(names).collect()
+    }
+}
+
+#[test]
+fn a_tile_is_computed_again_elsewhere_before_its_job_ends() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    b.wait(1);
+    assert_eq!(
+        (b.grants(ada).len(), b.assembled.len()),
+        (1, 0),
+        "the same worker does not check itself"
+    );
+    let bob = b.arrive("bob");
+    b.wait(1);
+    assert_eq!(b.grants(bob).len(), 1);
+    b.deliver(bob, "bob", RIGHT);
+    assert_eq!(b.assembled, [job]);
+    assert!(
+        matches!(&b.ran[..], [StoreCommand::Confirm { worker, .. }] if worker == "bob"),
+        "{:?}",
+        b.ran
+    );
+}
+
+#[test]
+fn job_that_was_paused_with_checks_left_ends_after_it_was_resumed() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    b.set(job, &[JobPhase::Running], JobState::Paused);
+    let bob = b.arrive("bob");
+    b.wait(1);
+    assert!(b.grants(bob).is_empty(), "a paused job is not checked");
+    b.set(job, &[JobPhase::Paused], JobState::Queued);
+    b.wait(2);
+    assert_eq!(b.grants(bob).len(), 1);
+    b.deliver(bob, "bob", RIGHT);
+    assert_eq!(b.assembled, [job]);
+}
+
+#[test]
+fn the_third_worker_decides_and_the_liar_is_quarantined() {
+    for liar_first in [true, false] {
+        let (mut b, _) = checked();
+        let (one, two) = if liar_first {
+            (WRONG, RIGHT)
+        } else {
+            (RIGHT, WRONG)
+        };
+        let ada = b.arrive("ada");
+        b.deliver(ada, "ada", one);
+        let bob = b.arrive("bob");
+        b.wait(1);
+        b.deliver(bob, "bob", two);
+        // Nobody knows who is right: neither gets anything, and the job waits for a third.
+        b.add(1, "", 5, false);
+        b.wait(30);
+        assert_eq!(
+            (b.grants(ada).len(), b.grants(bob).len(), b.assembled.len()),
+            (1, 1, 0)
+        );
+        assert!(
+            b.notes
+                .iter()
+                .any(|note| matches!(note, Note::NeedsThird(..)))
+        );
+        let cy = b.arrive("cy");
+        b.wait(1);
+        // What waits for a third one comes before other tiles, whatever their priority.
+        assert!(
+            b.scheduler
+                .admit(b.grants(cy).last().unwrap())
+                .unwrap()
+                .checks
+        );
+        b.deliver(cy, "cy", RIGHT);
+        let liar = if liar_first { "ada" } else { "bob" };
+        assert_eq!(b.condemned(), [liar]);
+        // What the liar still holds does not count, and the tile that it made keeps its job open.
+        assert!(b.scheduler.quarantined().contains(liar));
+        assert_eq!(b.assembled.is_empty(), liar_first);
+        b.wait(1);
+        let (honest, other) = if liar_first { (bob, ada) } else { (ada, bob) };
+        assert_eq!(b.grants(other).len(), 1, "a liar gets nothing");
+        assert_eq!(
+            b.grants(honest).len() + b.grants(cy).len(),
+            3,
+            "those who were right go on"
+        );
+    }
+}
+
+#[test]
+fn a_lonely_worker_s_job_goes_on_unchecked_and_says_so() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    b.wait(9);
+    assert!(b.assembled.is_empty());
+    b.wait(5);
+    assert_eq!(b.assembled, [job]);
+    assert!(
+        b.notes
+            .iter()
+            .any(|note| matches!(note, Note::Unchecked(..)))
+    );
+}
+
+#[test]
+fn what_a_quarantined_worker_delivers_late_does_not_count() {
+    let mut b = empty(1);
+    let job = b.add(2, "", 0, false);
+    let ada = b.arrive("ada");
+    let lease = b.grants(ada)[0];
+    assert!(b.scheduler.admit(&lease).unwrap().counts);
+    b.step(Event::Quarantined("ada".to_owned()));
+    assert!(!b.scheduler.admit(&lease).unwrap().counts);
+    b.want(ada, 1);
+    assert_eq!(b.grants(ada).len(), 1);
+    // Of leases of an earlier epoch it is not known who held them.
+    let id = sightline_records::ids::LeaseId {
+        epoch: sightline_records::ids::Epoch(0),
+        number: 1,
+    };
+    let earlier = Lease {
+        job,
+        tile: TileIndex(1),
+        id,
+    };
+    assert!(!b.scheduler.admit(&earlier).unwrap().counts);
+    b.step(Event::Released("ada".to_owned()));
+    assert!(
+        b.scheduler.admit(&lease).unwrap().counts && b.scheduler.admit(&earlier).unwrap().counts
+    );
+    assert_eq!(b.grants(ada).len(), 2);
+}
+
+#[test]
+fn a_check_that_fails_is_tried_again_and_left_in_the_end() {
+    let (mut b, job) = checked();
+    let ada = b.arrive("ada");
+    b.deliver(ada, "ada", RIGHT);
+    let bob = b.arrive("bob");
+    for _ in 0..3 {
+        // Longer than the wait after a failure, shorter than a lease.
+        b.wait(6);
+        let lease = *b.grants(bob).last().unwrap();
+        b.fail(bob, lease, true);
+        b.want(bob, 1);
+    }
+    assert_eq!((b.grants(bob).len(), b.assembled.clone()), (3, vec![job]));
+    assert!(b.condemned().is_empty());
+}
+
+#[test]
+fn the_share_is_that_of_the_tiles() {
+    let mut b = empty(1);
+    b.scheduler.settings.spot_check = 0.25;
+    b.add(400, "", 0, false);
+    let ada = b.arrive("ada");
+    for _ in 0..400 {
+        b.deliver(ada, "ada", RIGHT);
+    }
+    let drawn = b.scheduler.spotted.len();
+    assert!((60..140).contains(&drawn), "{drawn}");
+}
+
+/// A job of one tile that ada has led and bob has helped with.
+fn by_two() -> (Bench, WorkerId, WorkerId) {
+    let (mut b, _) = checked();
+    let ada = b.arrive("ada");
+    let lease = b.grants(ada)[0];
+    b.step(Event::CrewOpened(lease));
+    let bob = b.arrive("bob");
+    assert!(
+        b.told[&bob]
+            .iter()
+            .any(|order| matches!(order, WorkerCommand::Help(_)))
+    );
+    b.step(Event::CrewClosed(lease));
+    b.step(Event::Helped(bob, lease));
+    (b, ada, bob)
+}
+
+#[test]
+fn who_has_helped_checks_only_where_nobody_else_is() {
+    let (mut b, ada, bob) = by_two();
+    b.deliver(ada, "ada", RIGHT);
+    b.wait(5);
+    assert!(b.grants(bob).is_empty());
+    b.wait(8);
+    assert_eq!(b.grants(bob).len(), 1);
+    b.deliver(bob, "bob", RIGHT);
+    assert_eq!(b.assembled.len(), 1);
+    // With a third one it is the third one's.
+    let (mut b, ada, bob) = by_two();
+    b.deliver(ada, "ada", RIGHT);
+    let cy = b.arrive("cy");
+    b.wait(1);
+    assert_eq!((b.grants(bob).len(), b.grants(cy).len()), (0, 1));
+}
+
+#[test]
+fn who_has_helped_with_the_right_bytes_is_guilty_of_wrong_ones_of_its_own() {
+    for (first, second, guilty) in [(RIGHT, WRONG, "bob"), (WRONG, RIGHT, "ada")] {
+        let (mut b, ada, bob) = by_two();
+        b.deliver(ada, "ada", first);
+        b.wait(13);
+        b.deliver(bob, "bob", second);
+        let cy = b.arrive("cy");
+        b.wait(1);
+        b.deliver(cy, "cy", RIGHT);
+        assert_eq!(b.condemned(), [guilty]);
+    }
+}

@@ -1,0 +1,117 @@
+//! Addresses of a bucket for workers, and the objects that they write: below `staged/` of the prefix.
+
+use std::time::{Duration, SystemTime};
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use object_store::path::Path;
+use object_store::signer::{HeaderName, HeaderValue, Method, SignedUrlOptions};
+use sightline_records::ids::Digest;
+
+use super::super::api::BlobWriter as _;
+use super::super::direct::{Address, Direct, Staged};
+use super::super::error::BlobError;
+use super::ObjectBlobs;
+
+/// How long an address is accepted: until a worker has begun its request, which then goes on. Clocks of
+/// machines may differ by some minutes.
+const LIVES: Duration = Duration::from_secs(600);
+/// Where workers write.
+const STAGED: &str = "staged";
+
+impl ObjectBlobs {
+    fn staged(&self, staged: &Staged) -> Path {
+        self.0.bucket.key(&format!("{STAGED}/{}", staged.name()))
+    }
+
+    fn sign(
+        &self,
+        method: Method,
+        key: &Path,
+        headers: &[(&'static str, String)],
+    ) -> Result<Address, BlobError> {
+        let mut options = SignedUrlOptions::new();
+        for (name, value) in headers {
+            let value = HeaderValue::from_str(value).map_err(|_| BlobError::Unusable {
+                place: self.0.bucket.at(key),
+                reason: format!("the header {name} cannot be sent"),
+            })?;
+            options = options.with_signed_header(HeaderName::from_static(name), value);
+        }
+        let url = self.0.bucket.sign(method, key, LIVES, &options)?;
+        Ok(Address {
+            url,
+            headers: headers.to_vec(),
+            lives: LIVES,
+        })
+    }
+}
+
+impl Direct for ObjectBlobs {
+    fn authorities(&self) -> &[u8] {
+        self.0.bucket.authorities()
+    }
+
+    fn reading(&self, digest: &Digest) -> Result<Address, BlobError> {
+        self.sign(Method::GET, &self.key(digest), &[])
+    }
+
+    fn writing(&self, staged: &Staged) -> Result<Address, BlobError> {
+        // No other bytes than those of this checksum; a length cannot be signed.
+        let checksum = ("x-amz-checksum-sha256", STANDARD.encode(staged.sha256));
+        self.sign(Method::PUT, &self.staged(staged), &[checksum])
+    }
+
+    fn read_staged(&self, staged: &Staged) -> Result<Vec<u8>, BlobError> {
+        let key = self.staged(staged);
+        let damaged = || BlobError::Damaged {
+            path: self.0.bucket.at(&key).into(),
+        };
+        let mut bytes = Vec::new();
+        self.0.bucket.get(&key, |piece| {
+            // Memory grows with what comes, and ends with what was announced.
+            if (bytes.len() + piece.len()) as u64 > staged.bytes {
+                return Err(damaged());
+            }
+            bytes.extend_from_slice(piece);
+            Ok(())
+        })?;
+        if bytes.len() as u64 == staged.bytes {
+            Ok(bytes)
+        } else {
+            Err(damaged())
+        }
+    }
+
+    fn adopt(&self, staged: &Staged, digest: &Digest, bytes: &[u8]) -> Result<(), BlobError> {
+        // The address was good for bytes of one SHA-256 alone, so what is copied is what was read, where the
+        // store checks that; elsewhere the digest of the blob tells when it is read.
+        self.0
+            .bucket
+            .copy(&self.staged(staged), &self.key(digest))?;
+        let kept = self.0.cache.files().writer().and_then(|mut writer| {
+            writer.append(bytes)?;
+            self.0.cache.keep(writer, *digest, bytes.len() as u64)
+        });
+        if let Err(e) = kept {
+            tracing::warn!("{e}; the blob is in the object store, and no copy of it here");
+        }
+        Ok(())
+    }
+
+    fn discard(&self, staged: &Staged) -> Result<(), BlobError> {
+        self.0.bucket.delete(&self.staged(staged))
+    }
+
+    fn sweep(&self, is_old: &dyn Fn(SystemTime) -> bool) -> Result<u64, BlobError> {
+        let mut old = Vec::new();
+        self.0.bucket.list(Some(STAGED), |key, _, written| {
+            if is_old(written) {
+                old.push(key.clone());
+            }
+            true
+        })?;
+        old.iter().try_for_each(|key| self.0.bucket.delete(key))?;
+        Ok(old.len() as u64)
+    }
+}

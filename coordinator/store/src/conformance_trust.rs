@@ -1,0 +1,177 @@
+//! The commands about results that are not believed, and those that move a store: the same on every store.
+
+use sightline_records::ids::{JobId, TileIndex};
+use sightline_records::*;
+
+use super::*;
+
+const JOB: JobId = JobId(1);
+
+fn scene(n: u8) -> SceneRecord {
+    SceneRecord {
+        digest: [n; 32],
+        bytes: 1,
+        triangles: 1,
+        objects: 1,
+        owners: Default::default(),
+    }
+}
+
+fn job(tiles: u32) -> NewJob {
+    NewJob {
+        key: [9; 32],
+        request_id: String::new(),
+        name: "a job".to_owned(),
+        owner: String::new(),
+        user: String::new(),
+        priority: 0,
+        scene: [1; 32],
+        spec: Vec::new(),
+        tiles,
+        submitted_at_ms: 1,
+    }
+}
+
+fn result(n: u8) -> TileResult {
+    let worker = "w".repeat(MAX_SIGNATURE_BYTES);
+    let helpers = vec!["h".repeat(MAX_SIGNATURE_BYTES); MAX_HELPERS];
+    let stats = TileStats {
+        worker,
+        helpers,
+        unnamed: u32::MAX,
+        at_ms: u64::MAX,
+        ..TileStats::default()
+    };
+    TileResult {
+        digest: [n; 32],
+        bytes: u64::MAX,
+        stats,
+    }
+}
+
+fn check(at_ms: u64) -> TileCheck {
+    TileCheck {
+        worker: "c".repeat(MAX_SIGNATURE_BYTES),
+        at_ms,
+    }
+}
+
+/// Runs the commands on an empty store.
+pub(super) fn trust(store: &dyn Store) {
+    store.record_scene(scene(1)).unwrap();
+    store.record_scene(scene(2)).unwrap();
+    assert_eq!(store.submit_job(job(2)).unwrap().id, JOB);
+    // The longest record that there can be.
+    for n in 0..MAX_FAILURES {
+        let worker = format!("{n:0>64}");
+        store
+            .fail_tile(JOB, TileIndex(0), &worker, &"é".repeat(MAX_REASON_BYTES))
+            .unwrap();
+    }
+    store.commit_tile(JOB, TileIndex(0), result(7)).unwrap();
+    store
+        .confirm_tile(JOB, TileIndex(0), [8; 32], check(1))
+        .unwrap();
+    assert_eq!(store.tile(JOB, TileIndex(0)).unwrap().check, None);
+    store
+        .confirm_tile(JOB, TileIndex(0), [7; 32], check(u64::MAX))
+        .unwrap();
+    let done = store.tile(JOB, TileIndex(0)).unwrap();
+    assert_eq!(done.check, Some(check(u64::MAX)));
+    assert!(
+        matches!(&done.state, TileState::Done { stats, .. } if stats.helpers.len() == MAX_HELPERS)
+    );
+    // Of a running job those that are named are opened.
+    assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 0);
+    assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(0)]).unwrap(), 1);
+    assert_eq!(
+        store.tile(JOB, TileIndex(0)).unwrap(),
+        TileRecord::open(TileIndex(0))
+    );
+    let far = store.invalidate_tiles(JOB, &[TileIndex(2)]);
+    assert!(
+        matches!(far, Err(StoreError::UnknownTile { .. })),
+        "{far:?}"
+    );
+    // Of a done job all are.
+    for tile in 0..2 {
+        store.commit_tile(JOB, TileIndex(tile), result(7)).unwrap();
+    }
+    store.finish_job(JOB, [5; 32], 1, 2).unwrap();
+    assert_eq!(store.invalidate_tiles(JOB, &[]).unwrap(), 0);
+    assert_eq!(store.invalidate_tiles(JOB, &[TileIndex(1)]).unwrap(), 2);
+    let again = store.job(JOB).unwrap().unwrap();
+    assert_eq!(
+        (again.state, again.finished_at_ms),
+        (JobState::Queued, None)
+    );
+    // The job remembers when, for leases from before.
+    assert_eq!(again.reopened_epoch, Some(store.epoch().unwrap()));
+    // The first reason stays.
+    for reason in ["first", "second"] {
+        let record = QuarantineRecord {
+            worker: "w".to_owned(),
+            at_ms: 3,
+            reason: reason.to_owned(),
+        };
+        store.quarantine(record).unwrap();
+    }
+    let quarantined = store.quarantined().unwrap();
+    assert_eq!(
+        quarantined
+            .iter()
+            .map(|q| q.reason.as_str())
+            .collect::<Vec<_>>(),
+        ["first"]
+    );
+    assert!(store.release("w").unwrap() && !store.release("w").unwrap());
+    assert!(store.quarantined().unwrap().is_empty());
+    // A scene goes when nobody names it.
+    assert!(matches!(
+        store.delete_scene([1; 32]),
+        Err(StoreError::SceneInUse { job: JOB, .. })
+    ));
+    assert_eq!(store.delete_scene([2; 32]).unwrap(), scene(2));
+    assert!(matches!(
+        store.delete_scene([2; 32]),
+        Err(StoreError::UnknownScene { .. })
+    ));
+    // Everything moves.
+    let entries = store.entries().unwrap();
+    assert!(matches!(
+        store.import(entries.clone(), true),
+        Err(StoreError::NotEmpty)
+    ));
+    let other = MemoryStore::new();
+    let (first, rest) = entries.split_at(2);
+    other.import(first.to_vec(), true).unwrap();
+    other.import(rest.to_vec(), false).unwrap();
+    assert_eq!(other.entries().unwrap(), entries);
+    let mut damaged = entries[0].clone();
+    damaged.value[8] ^= 1;
+    let refused = other.import(vec![damaged], false);
+    assert!(
+        matches!(refused, Err(StoreError::View { .. })),
+        "{refused:?}"
+    );
+    assert_eq!(other.entries().unwrap(), entries);
+    store.may_change().unwrap();
+}
+
+#[test]
+fn results_that_are_not_believed_in_memory_and_on_disk() {
+    trust(&MemoryStore::new());
+    let directory = tempfile::tempdir().unwrap();
+    let entries = {
+        let store = SledStore::open(directory.path()).unwrap();
+        trust(&store);
+        store.entries().unwrap()
+    };
+    assert_eq!(
+        SledStore::open(directory.path())
+            .unwrap()
+            .entries()
+            .unwrap(),
+        entries
+    );
+}

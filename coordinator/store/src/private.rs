@@ -1,0 +1,46 @@
+//! Directories that other users of the machine cannot look into.
+
+use std::path::Path;
+
+/// Creates a directory, and those above it that are missing, for their owner only: mode 0700. A directory
+/// that exists stays as it is.
+pub(crate) fn create_private(directory: &Path) -> std::io::Result<()> {
+    let mut builder = std::fs::DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(directory)
+}
+
+#[cfg(test)]
+mod tests {
+    #![cfg(unix)]
+
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::super::{FileBlobs, OwnDirectory, SledStore};
+    use super::*;
+
+    #[test]
+    fn store_creates_directories_for_owner_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        let [store, blobs, own] = ["store", "blobs", "own"].map(|name| folder.path().join(name));
+        drop(SledStore::open(&store.join("state")).unwrap());
+        drop(FileBlobs::open(&blobs.join("blobs")).unwrap());
+        drop(OwnDirectory::take(&own).unwrap());
+        for path in [
+            &store,
+            &store.join("state"),
+            &blobs,
+            &blobs.join("blobs"),
+            &own,
+        ] {
+            assert_eq!(mode(path), 0o700, "{}", path.display());
+        }
+        // A directory that a person has made keeps its mode.
+        std::fs::set_permissions(&own, std::fs::Permissions::from_mode(0o750)).unwrap();
+        drop(OwnDirectory::take(&own).unwrap());
+        assert_eq!(mode(&own), 0o750);
+    }
+}

@@ -1,0 +1,116 @@
+//! The baseline of measurements: guided rays, for each cell separately.
+//!
+//! Each cell has a fixed number of rays. Half are aimed at unseen triangles adjacent to seen ones (across an
+//! edge, or close by), a quarter at random unseen triangles, and a quarter have random directions. Cells
+//! share nothing, and every ray is traced by itself.
+
+use glam::Vec3;
+use sightline_model::{CellStats, LineKind};
+use sightline_trace::BackendError;
+use sightline_trace::cube::SKY;
+use sightline_trace::packet::{LANES, Packet};
+use sightline_trace::sequence::Hashed;
+use sightline_trace::surface::point_on;
+
+use super::block::{Block, Scratch};
+use super::seeds::on_sphere;
+use crate::context::TileError;
+
+/// Rays cast between two updates of the list of unseen neighbours.
+const BATCH: u64 = 1024;
+/// Most draws of a random unseen triangle before a random direction is taken instead.
+const DRAWS: u32 = 8;
+/// Name of the stream of random numbers.
+const GUIDED: u64 = 6;
+
+impl Block<'_> {
+    /// Casts `rays` rays from each cell.
+    ///
+    /// # Errors
+    /// As [`Block::sample`].
+    pub fn sample_guided(&mut self, rays: u64) -> Result<(), TileError> {
+        let work: Vec<(usize, u64)> = self.active().into_iter().map(|c| (c, rays)).collect();
+        self.each(&work, |block, s, (cell, rays)| {
+            block.guided(s, *cell, *rays)
+        })?;
+        for cell in self.active() {
+            let stats = &mut self.stats[cell];
+            stats.unfinished = stats.rays[LineKind::Uniform as usize] < rays;
+        }
+        self.publish();
+        self.count_done(self.cells.len());
+        Ok(())
+    }
+
+    fn guided(&self, s: &mut Scratch, cell: usize, rays: u64) -> Result<CellStats, BackendError> {
+        let c = self.cells[cell];
+        let mut random = Hashed::new(&[self.tools.seed, c.number, GUIDED]);
+        let all = &self.tools.surface.morton;
+        let mut stats = CellStats::default();
+        s.next_tag();
+        // Unseen triangles next to seen ones; some have been seen since.
+        let mut border: Vec<u32> = Vec::new();
+        let mut cast = 0;
+        while cast < rays && !self.late() && !self.tools.watcher.cancelled() {
+            let batch = BATCH.min(rays - cast);
+            s.packets.clear();
+            for first in (0..batch).step_by(LANES) {
+                let mut packet = Packet::default();
+                for _ in first..batch.min(first + LANES as u64) {
+                    let origin = c.random_origin(self.tools.places, &mut random);
+                    let kind = random.unit();
+                    let mut target = None;
+                    if kind < 0.5 {
+                        for _ in 0..DRAWS {
+                            if border.is_empty() {
+                                break;
+                            }
+                            let i = (random.bits() % border.len() as u64) as usize;
+                            if s.met[self.row(border[i]) as usize] == s.tag {
+                                border.swap_remove(i);
+                            } else {
+                                target = Some(border[i]);
+                                break;
+                            }
+                        }
+                    }
+                    if target.is_none() && kind < 0.75 && !all.is_empty() {
+                        target = (0..DRAWS)
+                            .map(|_| all[(random.bits() % all.len() as u64) as usize])
+                            .find(|t| s.met[self.row(*t) as usize] != s.tag);
+                    }
+                    let direction = match target {
+                        Some(t) => {
+                            Vec3::from(point_on(self.tools.scene, t, &mut random))
+                                - Vec3::from(origin)
+                        }
+                        None => on_sphere(&mut random),
+                    };
+                    packet.push(origin, direction.to_array());
+                }
+                s.packets.push(packet);
+            }
+            self.tools
+                .sight
+                .trace_each(&mut s.packets, &mut s.passed, self.step)?;
+            cast += batch;
+            for (k, packet) in s.packets.iter().enumerate() {
+                let ends = (0..packet.count)
+                    .flat_map(|l| std::iter::once(packet.triangle[l]).chain(s.passed.on(k, l)));
+                for triangle in ends {
+                    if triangle == SKY || s.met[self.row(triangle) as usize] == s.tag {
+                        continue;
+                    }
+                    s.met[self.row(triangle) as usize] = s.tag;
+                    self.credit(triangle, &[(c.slot.word, 1 << c.slot.bit)]);
+                    stats.finds[LineKind::Uniform as usize] += 1;
+                    let next = self.tools.surface.neighbours[triangle as usize];
+                    let unmet = |n: &&u32| **n != SKY && s.met[self.row(**n) as usize] != s.tag;
+                    border.extend(next.iter().filter(unmet));
+                }
+            }
+        }
+        stats.rays[LineKind::Uniform as usize] = cast;
+        Ok(stats)
+    }
+}

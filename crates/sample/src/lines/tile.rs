@@ -1,0 +1,142 @@
+//! Samples one leaf tile of the plan with sight lines: its cells are a block. The cells of an adaptive tree
+//! are joined from smaller ones ([`super::adaptive`]).
+
+use std::time::Instant;
+
+use sightline_model::{CellSet, CellSets, Node, Stop};
+use sightline_trace::sight::Sight;
+use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
+
+use super::block::Block;
+use super::pairs::of_tile;
+use super::rounds::Tolerance;
+use super::work::{Work, columns, share};
+use super::{adaptive, joining};
+use crate::context::{JobContext, LineSampler, TileError, Watcher};
+
+/// Samples a leaf tile; returns its sets and the number of rays.
+///
+/// # Errors
+/// [`TileError`] when it is cancelled or the backend fails.
+pub fn run(
+    job: &JobContext<'_>,
+    sampler: LineSampler,
+    tile: &Tile,
+    watcher: &dyn Watcher,
+) -> Result<(CellSets, u64), TileError> {
+    let start = Instant::now();
+    let scene = job.scene.for_lines();
+    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
+    let pairs = joining::table(job);
+    // After the lines that look for triangles, which leave less to be joined. The rays of the sampler guided
+    // join none.
+    let rounds = match sampler {
+        LineSampler::Guided { .. } => joining::MANY_ROUNDS,
+        LineSampler::Shared { .. } => joining::FEW_ROUNDS,
+    };
+    let join = |block| match &pairs {
+        Some(pairs) => joining::search(job, &sight, pairs, (&tile.cell, rounds), watcher, block),
+        None => Ok(0),
+    };
+    let work = Work {
+        job,
+        scene,
+        sight: &sight,
+        watcher,
+        pairs: pairs.as_ref(),
+    };
+    tracing::debug!("ready to trace after {:?}", start.elapsed());
+    if let (Division::Adaptive { .. }, LineSampler::Shared { error, .. }) = (&job.division, sampler)
+    {
+        let (sets, rays) = adaptive::run(&work, error, tile)?;
+        let joined = join(None)?;
+        job.crew.end()?;
+        return Ok((
+            CellSets {
+                pairs: of_tile(job, pairs.as_ref()),
+                ..sets
+            },
+            rays + joined,
+        ));
+    }
+    let whole = job.lattice.units().map(|u| u64::from(u / UNITS_PER_CELL));
+    let first = tile.cell.lo.map(|u| u64::from(u / UNITS_PER_CELL));
+    let number = |c: [u32; 3]| {
+        let [x, y, z] = [0, 1, 2].map(|a| first[a] + u64::from(c[a]));
+        (z * whole[1] + y) * whole[0] + x
+    };
+    let parts = |c: [u32; 3]| {
+        job.viewpoints
+            .map_or(u64::MAX, |marks| marks.parts(number(c) as usize))
+    };
+    let mut block = work.block(&tile.cell, span(&tile.cell), number, parts);
+    tracing::debug!("know what meets each cell after {:?}", start.elapsed());
+    let joined = match sampler {
+        LineSampler::Guided { rays } => {
+            block.sample_guided(rays)?;
+            join(Some(&mut block))?
+        }
+        LineSampler::Shared {
+            error,
+            stop: Stop::Bound(most),
+        } => {
+            let most = most.get();
+            block.sample_before_bound(error, most)?;
+            let joined = join(Some(&mut block))?;
+            block.sample_to_bound(error, most)?;
+            block.join_to_bound(most)?;
+            joined
+        }
+        LineSampler::Shared { error, stop } => {
+            if let Stop::Share(share) = stop {
+                block.search_for_share(share.get());
+            }
+            block.sample(error, &[], Tolerance::Raised)?;
+            join(Some(&mut block))?
+        }
+    };
+    job.crew.end()?;
+    tracing::debug!("sampled after {:?}", start.elapsed());
+    share(&work, &mut block);
+    let rays: u64 = block.stats().iter().flat_map(|s| s.rays).sum();
+    let mut sets = sets(job, tile, &block);
+    sets.pairs = of_tile(job, pairs.as_ref());
+    let rays = rays + joined;
+    tracing::debug!("sets after {:?}", start.elapsed());
+    Ok((sets, rays))
+}
+
+/// Cells of a box along each axis.
+fn span(cell: &CellBox) -> [u32; 3] {
+    [0, 1, 2].map(|a| (cell.hi[a] - cell.lo[a]) / UNITS_PER_CELL)
+}
+
+/// The sets in the order of the tile's subtree.
+fn sets(job: &JobContext<'_>, tile: &Tile, block: &Block<'_>) -> CellSets {
+    let grid = block.grid();
+    let mut columns = columns(block);
+    let mut out = CellSets::default();
+    let mut waiting = vec![(tile.cell, tile.depth)];
+    while let Some((cell, depth)) = waiting.pop() {
+        match job.division.split(&job.lattice, &cell, depth) {
+            Some(split) => {
+                out.nodes.push(Node::Split(split));
+                let [below, above] = cell.children(split);
+                waiting.extend([(above, depth + 1), (below, depth + 1)]);
+            }
+            None => {
+                let at = [0, 1, 2].map(|a| (cell.lo[a] - tile.cell.lo[a]) / UNITS_PER_CELL);
+                let [nx, ny, _] = grid.cells();
+                let place = ((at[2] * ny + at[1]) * nx + at[0]) as usize;
+                out.nodes.push(Node::Cell);
+                out.cells.push(CellSet {
+                    visible: std::mem::take(&mut columns[grid.slot(at).index()]),
+                    stats: block.stats()[place],
+                    unreached: !block.is_reached(place),
+                    ..CellSet::default()
+                });
+            }
+        }
+    }
+    out
+}

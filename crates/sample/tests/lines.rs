@@ -1,0 +1,409 @@
+//! Sight lines: the same on any number of threads, sound, complete where that can be known, and bounded as
+//! promised.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stderr,
+    reason = "helpers of tests"
+)]
+
+use std::sync::Arc;
+
+use glam::Vec3;
+use sightline_model::CellStats;
+use sightline_sample::Unwatched;
+use sightline_sample::crew::Alone;
+use sightline_sample::lines::block::{Block, Tools};
+use sightline_sample::lines::rounds::Tolerance;
+use sightline_scene::generate::{self, Kind, Params};
+use sightline_scene::{Object, Scene, Triangle};
+use sightline_trace::embree::CpuBackend;
+use sightline_trace::lines::grid::CellGrid;
+use sightline_trace::lines::pairs::Pairs;
+use sightline_trace::packet::Packet;
+use sightline_trace::rows::Rows;
+use sightline_trace::sequence::Hashed;
+use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::surface::Surface;
+use sightline_trace::{Backend, BackendError, CubeSpec, LineSet, Strata};
+
+fn backend(scene: &Arc<Scene>) -> Option<CpuBackend> {
+    let spec = CubeSpec {
+        resolution: 64,
+        strata: Strata::One,
+        keep_pixels: false,
+    };
+    match CpuBackend::new(Arc::clone(scene), spec) {
+        Ok(backend) => Some(backend),
+        Err(BackendError::Unavailable(why)) if std::env::var_os("CI").is_none() => {
+            eprintln!("not run: {why}");
+            None
+        }
+        Err(e) => panic!("{e}"),
+    }
+}
+
+fn scene(triangles: Vec<[Vec3; 3]>) -> Arc<Scene> {
+    let count = triangles.len() as u32;
+    let triangles = triangles.into_iter().map(|v| Triangle { v }).collect();
+    let objects = vec![Object {
+        name: "all".to_owned(),
+        first: 0,
+        count,
+    }];
+    Arc::new(Scene::new("test", triangles, objects).unwrap())
+}
+
+/// A box whose sides are n×n squares of two triangles each, seen from inside and outside.
+fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<[Vec3; 3]> {
+    let mut out = Vec::new();
+    // The same arithmetic for the same corner, so that sides meet to the bit.
+    let at = |a: usize, i: u32| {
+        if i == n {
+            max[a]
+        } else {
+            min[a] + (max[a] - min[a]) * i as f32 / n as f32
+        }
+    };
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for side in [min[axis], max[axis]] {
+            for i in 0..n {
+                for j in 0..n {
+                    let corner = |i: u32, j: u32| {
+                        let mut p = Vec3::ZERO;
+                        p[axis] = side;
+                        p[u] = at(u, i);
+                        p[v] = at(v, j);
+                        p
+                    };
+                    let [a, b, c, d] = [
+                        corner(i, j),
+                        corner(i + 1, j),
+                        corner(i + 1, j + 1),
+                        corner(i, j + 1),
+                    ];
+                    out.extend([[a, b, c], [a, c, d]]);
+                }
+            }
+        }
+    }
+    out
+}
+
+fn with_block<R>(
+    scene: &Arc<Scene>,
+    sight: &Sight<'_>,
+    view: [Vec3; 2],
+    cells: [u32; 3],
+    seed: u64,
+    f: impl FnOnce(&mut Block<'_>) -> R,
+) -> R {
+    let surface = Surface::of(scene, &all(scene));
+    let rows = Rows::triangles(scene);
+    let (watcher, deadline) = (&Unwatched, None);
+    let grid = CellGrid::new(view[0], view[1], cells);
+    let pairs = Pairs::new(grid.clone());
+    let pairs = Some(&pairs);
+    let (surface, rows, crew) = (&surface, &rows, &Alone);
+    let tools = Tools {
+        scene,
+        surface,
+        rows,
+        sight,
+        seed,
+        watcher,
+        deadline,
+        pairs,
+        places: None,
+        crew,
+        ledger: None,
+    };
+    let [nx, ny, _] = cells.map(u64::from);
+    let number = |c: [u32; 3]| (u64::from(c[2]) * ny + u64::from(c[1])) * nx + u64::from(c[0]);
+    f(&mut Block::new(tools, grid, number, |_| u64::MAX))
+}
+
+fn sets(block: &Block<'_>) -> Vec<Vec<u32>> {
+    (0..block.grid().words() as u32)
+        .flat_map(|w| block.bits().columns(w))
+        .collect()
+}
+
+fn all(scene: &Scene) -> Vec<u32> {
+    (0..scene.len())
+        .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
+        .collect()
+}
+
+#[test]
+fn threads_change_nothing() {
+    let params = Params {
+        triangles: Some(3000),
+        ..Params::default()
+    };
+    let scene = Arc::new(generate::generate(Kind::Rooms, &params).unwrap());
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let b = scene.bounds();
+    let run = |threads: usize| -> (Vec<Vec<u32>>, Vec<CellStats>) {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            with_block(&scene, &sight, [b.min, b.max], [5, 3, 2], 7, |block| {
+                block.sample_before_bound(1.0, 0.01).unwrap();
+                block.sample_to_bound(1.0, 0.01).unwrap();
+                block.join_to_bound(0.01).unwrap();
+                (sets(block), block.stats().to_vec())
+            })
+        })
+    };
+    let one = run(1);
+    let within = |b: Option<f64>| b.unwrap() <= 0.01;
+    assert!(
+        one.1
+            .iter()
+            .all(|s| within(s.bound()) && within(s.cell_bound())),
+        "the bounds are reached"
+    );
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(5));
+}
+
+#[test]
+fn a_convex_room_is_seen_whole() {
+    let scene = scene(tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 12));
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    with_block(
+        &scene,
+        &sight,
+        [Vec3::splat(-2.0), Vec3::splat(2.0)],
+        [3, 3, 3],
+        1,
+        |block| {
+            block.sample(1e-5, &[], Tolerance::Equal).unwrap();
+            let columns = sets(block);
+            for c in block.grid().each() {
+                assert_eq!(
+                    columns[block.grid().slot(c).index()].len(),
+                    scene.triangles().len(),
+                    "{c:?}"
+                );
+            }
+        },
+    );
+}
+
+/// Over hundreds of seeds the bound is below the truth no more often than one in twenty. The room is convex,
+/// so the truth is known: every triangle is visible, and how often sight lines meet it is found once by brute
+/// force.
+#[test]
+fn bounds_hold_as_often_as_they_say() {
+    const SEEDS: u64 = 250;
+    const CELLS: [u32; 3] = [2, 2, 1];
+    let scene = scene(tessellated_box(Vec3::splat(-3.0), Vec3::splat(3.0), 24));
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let view = [Vec3::splat(-2.5), Vec3::splat(2.5)];
+    let grid = CellGrid::new(view[0], view[1], CELLS);
+    // How often a sight line of each cell meets each triangle.
+    let truth: Vec<Vec<f64>> = grid
+        .each()
+        .enumerate()
+        .map(|(i, c)| {
+            let (lo, size) = grid.cell_box(c);
+            let mut random = Hashed::new(&[99, i as u64]);
+            let mut hits = vec![0u64; scene.triangles().len()];
+            let packets = 60_000;
+            for _ in 0..packets {
+                let mut p = [Packet::default()];
+                for _ in 0..16 {
+                    let face = (random.bits() % 6) as u32;
+                    let [forward, right, up] = sightline_trace::cube::face_basis(face);
+                    let d = forward
+                        + right * (2.0 * random.unit() - 1.0)
+                        + up * (2.0 * random.unit() - 1.0);
+                    let o = lo + size * Vec3::new(random.unit(), random.unit(), random.unit());
+                    p[0].push(o.to_array(), d.to_array());
+                }
+                sight.trace(&mut p, &mut Passed::default(), 0.0).unwrap();
+                p[0].triangle.iter().for_each(|t| hits[*t as usize] += 1);
+            }
+            hits.into_iter()
+                .map(|h| h as f64 / (16.0 * f64::from(packets)))
+                .collect()
+        })
+        .collect();
+    let (mut looks, mut wrong, mut useful) = (0u32, 0u32, 0u32);
+    for seed in 0..SEEDS {
+        with_block(&scene, &sight, view, CELLS, seed, |block| {
+            // Stopping early, so that something is missing when the bound is taken.
+            block.sample_guided(600).unwrap();
+            let before = sets(block);
+            block.look(1, 400).unwrap();
+            for (i, c) in block.grid().each().enumerate() {
+                let seen = &before[block.grid().slot(c).index()];
+                let missed: f64 = 1.0 - seen.iter().map(|t| truth[i][*t as usize]).sum::<f64>();
+                let bound = block.stats()[i].bound().unwrap();
+                looks += 1;
+                wrong += u32::from(missed > bound);
+                useful += u32::from(missed > 0.3 * bound);
+            }
+        });
+    }
+    // Look 1 has 2.5 %; three standard deviations more would be chance.
+    let may = f64::from(looks) * 0.025;
+    assert!(
+        f64::from(wrong) <= may + 3.0 * may.sqrt(),
+        "{wrong} of {looks} bounds were too low"
+    );
+    assert!(
+        useful * 2 > looks,
+        "the bounds are far above the truth: {useful} of {looks}"
+    );
+}
+
+/// Slivers, a T-free closed wall far from square, coordinates small and large together: nothing outside is
+/// seen.
+#[test]
+fn no_line_passes_a_closed_wall() {
+    // The view box ends a little before the wall; where coordinates are few, far enough that rounding does
+    // not put it there.
+    for (scale, offset, view) in [
+        (1.0, 0.0, 0.99),
+        (1e-6, 0.0, 0.99),
+        (1e6, 0.0, 0.99),
+        (1e-6, 1.0, 0.7),
+        (1.0, 1e5, 0.7),
+    ] {
+        let at = |x: f32, y: f32, z: f32| Vec3::new(x, y, z) * scale + Vec3::splat(offset);
+        let mut triangles = tessellated_box(at(-1.0, -1.0, -1.0), at(1.0, 1.0, 1.0), 7);
+        // Slivers: one side's squares cut into fans from a corner far away would overlap; a thin inner prism
+        // does not.
+        triangles.extend(tessellated_box(
+            at(-0.9, -1e-4, -0.9),
+            at(0.9, 1e-4, 0.9),
+            3,
+        ));
+        let inside = triangles.len() as u32;
+        triangles.extend(tessellated_box(at(-3.0, -3.0, -3.0), at(3.0, 3.0, 3.0), 5));
+        let scene = scene(triangles);
+        let Some(backend) = backend(&scene) else {
+            return;
+        };
+        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+        let view = [at(-view, -view, -view), at(view, view, view)];
+        with_block(&scene, &sight, view, [3, 2, 2], 5, |block| {
+            block.sample(1e-4, &[], Tolerance::Equal).unwrap();
+            let outside: usize = sets(block)
+                .iter()
+                .map(|s| s.iter().filter(|t| **t >= inside).count())
+                .sum();
+            assert_eq!(outside, 0, "scale {scale}, offset {offset}");
+        });
+    }
+}
+
+/// From a vertex, an edge and the middle of a face of a closed box, lines that go inwards meet the box.
+#[test]
+fn lines_that_begin_on_the_wall_stay_inside() {
+    for scale in [1.0f32, 1e-6, 1e6] {
+        let (min, max) = (Vec3::splat(-scale), Vec3::splat(scale));
+        let mut triangles = tessellated_box(min, max, 6);
+        let wall = triangles.len() as u32;
+        triangles.extend(tessellated_box(min * 2.0, max * 2.0, 3));
+        let scene = scene(triangles);
+        let Some(backend) = backend(&scene) else {
+            return;
+        };
+        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+        let mut random = Hashed::new(&[3]);
+        let mut crossed = 0;
+        for id in 0..wall {
+            let v = scene.triangles()[id as usize].v;
+            for from in [
+                v[0],
+                (v[0] + v[1]) * 0.5,
+                (v[0] + v[2]) * 0.5,
+                (v[0] + v[1] + v[2]) / 3.0,
+            ] {
+                // A midpoint may be rounded to just outside; such an eye is not on the wall.
+                let from = from.clamp(min, max);
+                let mut packets: Vec<Packet> = Vec::new();
+                for _ in 0..8 {
+                    let mut p = Packet::default();
+                    for _ in 0..16 {
+                        let to =
+                            Vec3::new(random.unit(), random.unit(), random.unit()) * 1.98 - 0.99;
+                        p.push(from.to_array(), (to * scale - from).to_array());
+                    }
+                    packets.push(p);
+                }
+                sight
+                    .trace(&mut packets, &mut Passed::default(), 0.0)
+                    .unwrap();
+                crossed += packets
+                    .iter()
+                    .flat_map(|p| p.triangle)
+                    .filter(|t| *t >= wall)
+                    .count();
+            }
+        }
+        assert_eq!(crossed, 0, "scale {scale}");
+    }
+}
+
+/// A closed closet full of leaves is worth less time than its cell would like; the cells around it know
+/// nothing of it.
+#[test]
+fn a_cell_far_harder_than_the_others_has_a_raised_tolerance_and_no_other_has() {
+    let mut random = Hashed::new(&[9]);
+    let mut triangles = tessellated_box(Vec3::ZERO, Vec3::splat(10.0), 2);
+    triangles.extend(tessellated_box(Vec3::splat(7.6), Vec3::splat(9.9), 2));
+    triangles.extend((0..20_000).map(|_| {
+        let c = Vec3::splat(7.7) + random.point() * 2.1;
+        [0; 3].map(|_| c + (random.point() - 0.5) * 0.08)
+    }));
+    let scene = scene(triangles);
+    let Some(backend) = backend(&scene) else {
+        return;
+    };
+    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let sampled = |tolerance: Tolerance| -> Vec<CellStats> {
+        with_block(
+            &scene,
+            &sight,
+            [Vec3::ZERO, Vec3::splat(10.0)],
+            [4, 4, 4],
+            3,
+            |block| {
+                block.sample(1e-3, &[], tolerance).unwrap();
+                block.stats().to_vec()
+            },
+        )
+    };
+    let (alike, spared) = (sampled(Tolerance::Equal), sampled(Tolerance::Raised));
+    assert!(alike.iter().chain(&spared).all(|s| !s.unfinished));
+    let rays = |cell: &CellStats| cell.rays.iter().sum::<u64>();
+    let ([others_alike @ .., last_alike], [others_spared @ .., last_spared]) =
+        (&alike[..], &spared[..])
+    else {
+        panic!("there are cells");
+    };
+    assert!(
+        rays(last_spared) < rays(last_alike),
+        "{last_spared:?} {last_alike:?}"
+    );
+    assert!(last_spared.raised_tolerance && !last_alike.raised_tolerance);
+    assert_eq!(others_alike, others_spared);
+}

@@ -1,0 +1,11 @@
+//! Blocks of view cells that share sight lines: the grid of the cells, the table of the triangles seen from
+//! each, and the interface of devices that cast whole rounds of lines.
+
+pub mod bits;
+pub mod device;
+pub mod grid;
+pub mod pairs;
+pub mod tally;
+
+/// The maximum number of steps of a flood from a found triangle to its neighbours.
+pub const FLOOD_STEPS: u32 = 4;

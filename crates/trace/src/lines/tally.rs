@@ -1,0 +1,74 @@
+//! The tries at the candidates of a cell in a round, by the decade of their part of the sphere.
+//!
+//! The sums are integers, so they do not depend on the order of the items.
+
+/// Number of decades; smaller candidates are in the last.
+pub const DECADES: usize = 8;
+/// A part of the sphere in the middle of each.
+pub const PARTS: [f64; DECADES] = [0.3, 0.03, 3e-3, 3e-4, 3e-5, 3e-6, 3e-7, 3e-8];
+/// Gains are counted in this part of [`PARTS`].
+pub const GAIN_UNIT: f64 = 1.0 / (1u64 << 30) as f64;
+/// Attempts are counted in this part of one.
+pub const ATTEMPT_UNIT: f64 = 1.0 / 256.0;
+/// The tries at candidates of a decade.
+#[derive(Clone, Copy, Default)]
+pub struct Counts {
+    /// The number of tries.
+    pub tries: u64,
+    /// Their expected gain in seen parts of the sphere, in [`GAIN_UNIT`].
+    pub gain: u64,
+    /// Sum over the tries of the attempts before each, in [`ATTEMPT_UNIT`].
+    pub before: u64,
+}
+
+/// The tries at the candidates of a cell in a round.
+#[derive(Clone, Default)]
+pub struct Tally(pub [Counts; DECADES]);
+
+impl Tally {
+    /// Number of [`Self::numbers`].
+    pub const NUMBERS: usize = 3 * DECADES;
+
+    /// The tally of a device: for each decade the tries, the gains in parts of the decade's middle and of
+    /// `gain_unit`, and the attempts before in 256ths.
+    pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
+        // Both units are powers of two, so the number is exact while it fits.
+        let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);
+        Self(decades.map(|[tries, g, before]| Counts {
+            tries,
+            gain: gain(g),
+            before,
+        }))
+    }
+
+    /// Both tallies in one.
+    #[must_use]
+    pub fn and(&self, other: &Self) -> Self {
+        let (mut all, more) = (self.numbers(), other.numbers());
+        all.iter_mut()
+            .zip(more)
+            .for_each(|(n, m)| *n = n.wrapping_add(m));
+        Self::from_numbers(all)
+    }
+
+    /// All counts, in a fixed order.
+    pub fn numbers(&self) -> [u64; Self::NUMBERS] {
+        let mut all = [0; Self::NUMBERS];
+        for (n, c) in self.0.iter().enumerate() {
+            all[3 * n..3 * n + 3].copy_from_slice(&[c.tries, c.gain, c.before]);
+        }
+        all
+    }
+
+    /// The tally of [`Self::numbers`].
+    pub fn from_numbers(numbers: [u64; Self::NUMBERS]) -> Self {
+        Self(std::array::from_fn(|n| {
+            let [tries, gain, before] = [0, 1, 2].map(|k| numbers[3 * n + k]);
+            Counts {
+                tries,
+                gain,
+                before,
+            }
+        }))
+    }
+}
