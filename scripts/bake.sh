@@ -42,8 +42,8 @@ cd "$(dirname "$0")/.."
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
 say 'building (about a quarter of an hour the first time, on two cores)'
-cargo build --release --locked
-sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/release/sightline
+cargo build --profile dist --locked
+sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/dist/sightline
 
 mkdir -p out
 if [ -z "$scene" ]; then

@@ -168,7 +168,7 @@ impl Coordinator {
     ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
         // An empty blob store receives the store's name before the first blob.
-        if let Some(refusal) = ownership::check(&*store, &*blobs)?.refusal() {
+        if let Some(refusal) = ownership::check(store.identity()?.id(), &*blobs)?.refusal() {
             tracing::warn!("{refusal}");
         }
         // Before any end of a job is recorded.
@@ -241,7 +241,7 @@ impl Coordinator {
             (this.data_dir, this.quotas, this.retention) = (Some(data_dir), quotas, retention);
         }
         this.continue_retention(retention_clock);
-        this.store.report_syncs(this.metrics.syncs());
+        this.store.report_syncs(&this.metrics);
         let this = Arc::new(this);
         let version = env!("CARGO_PKG_VERSION");
         let text = format!(

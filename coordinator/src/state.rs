@@ -5,10 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{
-    Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
-    TryLockError,
-};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::time::{Duration, Instant};
 
 use sightline_assemble::SceneSummary;
@@ -24,8 +21,10 @@ use crate::clock::{Clock, Moment};
 use crate::dispatch::outbox::{Scheduling, Watched};
 use crate::jobs::retention_clock::{Ages, FutureBlobs, RetentionClock};
 use crate::kept::{Asked, LastTrial, PartialCache, Retention, SceneQueries};
+use crate::locks::{self, Rank, Ranked};
 use crate::outputs::staging::Staging;
 use crate::quota::{Budget, Intake, Quotas, RateLimiter, Turns, Usage};
+use crate::records::Records;
 use crate::telemetry::events::{EventLog, LogEvent};
 use crate::telemetry::metrics::Metrics;
 use crate::telemetry::spans::Spans;
@@ -75,7 +74,8 @@ pub(crate) struct StoredReceivers {
 /// A coordinator without its network. [`serve`](crate::serve) puts it on the network.
 pub struct Coordinator {
     pub(crate) leases: Leases,
-    pub(crate) store: Box<dyn Store>,
+    /// The store, with the locks of its changes.
+    pub(crate) store: Records,
     pub(crate) blobs: Box<dyn Blobs>,
     clock: Box<dyn Clock>,
     /// Crews, and the outcomes of the phases of unfinished tiles.
@@ -89,10 +89,6 @@ pub struct Coordinator {
     /// Never held during a call of the store.
     scheduling: Mutex<Scheduling>,
     watched: Mutex<Watched>,
-    /// Held while the record of a job changes and until the scheduler has heard of it.
-    turn: Mutex<()>,
-    /// Shared by those who commit outputs, exclusive for who removes outputs.
-    outputs: RwLock<()>,
     /// The facts of the scene used last: consecutive jobs often have the same scene.
     pub(crate) last_scene: Mutex<Option<(Digest, Arc<SceneSummary>)>>,
     /// What was to be known of receivers last: the tiles of a job have the same.
@@ -187,7 +183,7 @@ impl Coordinator {
         let retention_clock = Mutex::new(RetentionClock::new(None, Ages::default(), clock.now()));
         Self {
             leases,
-            store,
+            store: Records::new(store),
             blobs,
             clock,
             crews,
@@ -196,8 +192,6 @@ impl Coordinator {
             origin,
             scheduling: Mutex::new(Scheduling::new(scheduler)),
             watched: Mutex::default(),
-            turn: Mutex::default(),
-            outputs: RwLock::default(),
             last_scene: Mutex::new(None),
             last_receivers: Mutex::new(None),
             last_partial: Mutex::default(),
@@ -318,44 +312,23 @@ impl Coordinator {
 
     /// The scheduler. Its state is derived from the store; a panic in the middle of a change can lose a
     /// lease, not a result.
-    pub(crate) fn lock(&self) -> MutexGuard<'_, Scheduling> {
-        self.scheduling
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn lock(&self) -> Ranked<MutexGuard<'_, Scheduling>> {
+        locks::lock(Rank::Scheduler, &self.scheduling)
     }
 
     /// Who watches which job. May be taken under the scheduler's lock.
-    pub(crate) fn watched(&self) -> MutexGuard<'_, Watched> {
-        self.watched.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn watched(&self) -> Ranked<MutexGuard<'_, Watched>> {
+        locks::lock(Rank::Watchers, &self.watched)
     }
 
-    /// The right to pause jobs for want of a scene or receivers, or to let them go on. To be taken before
-    /// [`Self::turn`].
-    pub(crate) fn lost_turn(&self) -> MutexGuard<'_, ()> {
-        self.lost_turn
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The right to change records of jobs, until the scheduler has heard of the change.
-    pub(crate) fn turn(&self) -> MutexGuard<'_, ()> {
-        self.turn.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Returns the right to suspend jobs whose scene or receivers are missing, or to resume them. To be taken before
+    /// the lock of [`crate::records::JobChanges`].
+    pub(crate) fn lost_turn(&self) -> Ranked<MutexGuard<'_, ()>> {
+        locks::lock(Rank::Suspension, &self.lost_turn)
     }
 
     /// The right to add to what a user has.
-    pub(crate) fn quota_turn(&self) -> MutexGuard<'_, ()> {
-        self.quota_turn
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Held while an output is stored: no output is removed meanwhile.
-    pub(crate) fn committing(&self) -> RwLockReadGuard<'_, ()> {
-        self.outputs.read().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Held while outputs are removed: none is stored meanwhile.
-    pub(crate) fn no_commits(&self) -> RwLockWriteGuard<'_, ()> {
-        self.outputs.write().unwrap_or_else(PoisonError::into_inner)
+    pub(crate) fn quota_turn(&self) -> Ranked<MutexGuard<'_, ()>> {
+        locks::lock(Rank::Quota, &self.quota_turn)
     }
 }

@@ -18,7 +18,7 @@ use sightline_records::ids::TileIndex;
 use sightline_records::{
     JobRecord, NewJob, SceneRecord, TileRecord, TileResult, TileState, TileStats,
 };
-use sightline_store::{SledStore, Store};
+use sightline_store::{Queries as _, SledStore, Store};
 
 const DIRECTORY: &str = "SIGHTLINE_STORE_KILL_DIRECTORY";
 const TILES: u32 = 100_000;

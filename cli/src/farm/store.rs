@@ -15,8 +15,9 @@ use sightline::words::plural;
 use sightline_coordinator::Config;
 use sightline_coordinator::blobs::ownership::{self, Ownership};
 use sightline_coordinator::blobs::references::{self, KeepingError, Reference, Verified};
+use sightline_records::ids::TileIndex;
 use sightline_store::{
-    BlobError, Damage, Entry, JournalError, Repaired, SledStore, Store, StoreError,
+    BlobError, Damage, Entry, JournalError, Queries as _, Repaired, SledStore, Store, StoreError,
 };
 
 use crate::args::store::{ExportArgs, ImportArgs, PlaceArgs, StoreArgs, StoreCommand, VerifyArgs};
@@ -186,7 +187,10 @@ fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
     .map_err(blobs_fault)?;
     let found = references::verify(store, &*blobs, &|_| ()).map_err(of_keeping)?;
     let opened = match args.repair && !found.lost.is_empty() {
-        true => Some(references::repair(store, &*blobs, &found).map_err(of_keeping)?),
+        true => {
+            let mut reopen = |job, tiles: &[TileIndex]| store.invalidate_tiles(job, tiles);
+            Some(references::repair(&*blobs, &found, &mut reopen).map_err(of_keeping)?)
+        }
         false => None,
     };
     let own = store.identity().map_err(of_store)?.id();

@@ -2,7 +2,7 @@
 
 use sightline_records::TileState;
 use sightline_records::ids::{JobId, TileIndex, WorkerId};
-use sightline_store::Store as _;
+use sightline_store::{Queries as _, Store as _};
 
 use super::tests::{Bench, empty, two_tiles};
 use super::*;

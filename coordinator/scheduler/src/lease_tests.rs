@@ -1,7 +1,7 @@
 //! Which leases count, what a restart leaves to earlier workers, and what failures lead to.
 
 use sightline_records::ids::{Epoch, JobId, Lease, LeaseId, TileIndex};
-use sightline_store::Store as _;
+use sightline_store::Queries as _;
 
 use super::tests::two_tiles;
 use super::tests::with_grace;

@@ -14,7 +14,7 @@ use sightline_numbers::Aabb;
 use sightline_records::ids::Digest;
 use sightline_records::ids::{Epoch, JobId, Lease, WorkerId};
 use sightline_records::{JobPhase, JobState, NewJob, SceneRecord};
-use sightline_store::{MemoryStore, Store as _};
+use sightline_store::{MemoryStore, Queries as _, Store as _};
 
 use super::*;
 

@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use sightline_store::{Blobs, Store, StoreId};
+use sightline_store::{Blobs, StoreId};
 
 use crate::blobs::references::KeepingError;
 use crate::state::Coordinator;
@@ -43,12 +43,11 @@ impl Ownership {
     }
 }
 
-/// Returns the relation of the blobs to the store. An empty blob store receives the store's name.
+/// Returns the relation of the blobs to the store of this name. An empty blob store receives the name.
 ///
 /// # Errors
-/// When the store or the blobs cannot be read, or the name cannot be written.
-pub fn check(store: &dyn Store, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
-    let own = store.identity()?.id();
+/// When the blobs cannot be read, or the name cannot be written.
+pub fn check(own: StoreId, blobs: &dyn Blobs) -> Result<Ownership, KeepingError> {
     let relation = inspect(own, blobs)?;
     if relation == Ownership::Unnamed && is_empty(blobs)? {
         blobs.claim(own)?;
@@ -81,7 +80,9 @@ fn is_empty(blobs: &dyn Blobs) -> Result<bool, KeepingError> {
 /// Returns true if the coordinator may remove unreferenced blobs; otherwise logs the reason and records an
 /// event.
 pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
-    match check(&*c.store, &*c.blobs).map(Ownership::refusal) {
+    let own = c.store.identity().map_err(KeepingError::from);
+    let relation = own.and_then(|own| check(own.id(), &*c.blobs));
+    match relation.map(Ownership::refusal) {
         Ok(None) => true,
         Ok(Some(refusal)) => {
             tracing::warn!("{refusal}");
@@ -98,7 +99,11 @@ pub(crate) fn may_remove(c: &Arc<Coordinator>) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sightline_store::{FileBlobs, MemoryBlobs, MemoryStore};
+    use sightline_store::{FileBlobs, MemoryBlobs, MemoryStore, Store as _};
+
+    fn id(store: &MemoryStore) -> StoreId {
+        store.identity().unwrap().id()
+    }
 
     #[test]
     fn blobs_belong_to_first_store_until_claimed() {
@@ -109,13 +114,16 @@ mod tests {
         ];
         for blobs in stores {
             let (first, second) = (MemoryStore::new(), MemoryStore::new());
-            assert_eq!(check(&first, &*blobs).unwrap(), Ownership::Own);
+            assert_eq!(check(id(&first), &*blobs).unwrap(), Ownership::Own);
             blobs.put(b"walls").unwrap();
-            assert_eq!(check(&first, &*blobs).unwrap(), Ownership::Own);
-            let owner = first.identity().unwrap().id();
-            assert_eq!(check(&second, &*blobs).unwrap(), Ownership::Foreign(owner));
-            blobs.claim(second.identity().unwrap().id()).unwrap();
-            assert_eq!(check(&second, &*blobs).unwrap(), Ownership::Own);
+            assert_eq!(check(id(&first), &*blobs).unwrap(), Ownership::Own);
+            let owner = id(&first);
+            assert_eq!(
+                check(id(&second), &*blobs).unwrap(),
+                Ownership::Foreign(owner)
+            );
+            blobs.claim(id(&second)).unwrap();
+            assert_eq!(check(id(&second), &*blobs).unwrap(), Ownership::Own);
         }
     }
 
@@ -124,7 +132,7 @@ mod tests {
         let blobs = MemoryBlobs::new();
         blobs.put(b"walls").unwrap();
         assert_eq!(
-            check(&MemoryStore::new(), &blobs).unwrap(),
+            check(id(&MemoryStore::new()), &blobs).unwrap(),
             Ownership::Unnamed
         );
         assert!(
@@ -140,7 +148,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let blobs = FileBlobs::open(folder.path()).unwrap();
         std::fs::write(folder.path().join("store-identity"), "walls").unwrap();
-        let error = check(&MemoryStore::new(), &blobs).unwrap_err().to_string();
+        let error = check(id(&MemoryStore::new()), &blobs)
+            .unwrap_err()
+            .to_string();
         assert!(
             error.contains("store-identity") && error.contains("--claim-blobs"),
             "{error}"

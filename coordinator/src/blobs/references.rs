@@ -6,7 +6,7 @@ use std::time::SystemTime;
 
 use sightline_records::ids::{Digest, JobId, TileIndex};
 use sightline_records::{JobPhase, JobRecord, JobState, TileState};
-use sightline_store::{BlobError, Blobs, Store, StoreError};
+use sightline_store::{BlobError, Blobs, Queries, StoreError};
 
 use crate::jobs::stored_spec;
 
@@ -35,7 +35,7 @@ pub enum Reference {
 }
 
 /// The blobs that records name and that have to be there. Outputs of a job that is done are in its result.
-pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Reference>>, StoreError> {
+pub fn needed(store: &dyn Queries) -> Result<BTreeMap<Digest, Vec<Reference>>, StoreError> {
     let mut all: BTreeMap<Digest, Vec<Reference>> = BTreeMap::new();
     for scene in store.scenes()? {
         all.entry(scene.digest).or_default().push(Reference::Scene);
@@ -60,7 +60,7 @@ pub fn needed(store: &dyn Store) -> Result<BTreeMap<Digest, Vec<Reference>>, Sto
 
 /// The outputs that a job still needs: all of a job without a result, and of one with tiles set aside,
 /// which can be tried again.
-fn outputs(store: &dyn Store, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)>, StoreError> {
+fn outputs(store: &dyn Queries, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)>, StoreError> {
     let mut outputs = Vec::new();
     let mut is_whole = true;
     for tile in store.tiles(job.id)? {
@@ -82,7 +82,7 @@ fn outputs(store: &dyn Store, job: &JobRecord) -> Result<Vec<(TileIndex, Digest)
 /// Removes the blobs that no record names and whose time `is_old`; returns how many, and their bytes. `alone`
 /// runs a removal while no other thread begins to need a blob.
 pub(crate) fn sweep(
-    store: &dyn Store,
+    store: &dyn Queries,
     blobs: &dyn Blobs,
     is_old: &dyn Fn(&Digest, SystemTime) -> bool,
     alone: &dyn Fn(&mut dyn FnMut()),
@@ -138,7 +138,7 @@ pub struct Verified {
 /// # Errors
 /// When a record cannot be read, or the disk fails. A damaged blob is no error.
 pub fn verify(
-    store: &dyn Store,
+    store: &dyn Queries,
     blobs: &dyn Blobs,
     progress: &dyn Fn(u64),
 ) -> Result<Verified, KeepingError> {
@@ -182,12 +182,19 @@ pub fn verify(
     Ok(found)
 }
 
-/// Opens the tiles again whose outputs or results are lost, and removes what is damaged; returns the number
-/// of tiles. Scenes and parts of specifications have to be sent again.
+/// A function that reopens tiles of a job, and returns their number.
+pub type Reopen<'a> = dyn FnMut(JobId, &[TileIndex]) -> Result<u32, StoreError> + 'a;
+
+/// Reopens the tiles whose outputs or results are lost, with `reopen`, and removes damaged blobs; returns the
+/// number of tiles. Scenes and parts of specifications have to be sent again.
 ///
 /// # Errors
 /// The store's or the blobs'.
-pub fn repair(store: &dyn Store, blobs: &dyn Blobs, found: &Verified) -> Result<u64, KeepingError> {
+pub fn repair(
+    blobs: &dyn Blobs,
+    found: &Verified,
+    reopen: &mut Reopen<'_>,
+) -> Result<u64, KeepingError> {
     let mut tiles: BTreeMap<JobId, BTreeSet<TileIndex>> = BTreeMap::new();
     for (digest, (needs, _)) in &found.lost {
         blobs.remove(digest)?;
@@ -203,7 +210,7 @@ pub fn repair(store: &dyn Store, blobs: &dyn Blobs, found: &Verified) -> Result<
     let mut opened = 0;
     for (job, tiles) in tiles {
         let tiles: Vec<TileIndex> = tiles.into_iter().collect();
-        opened += u64::from(store.invalidate_tiles(job, &tiles)?);
+        opened += u64::from(reopen(job, &tiles)?);
     }
     Ok(opened)
 }

@@ -1,7 +1,7 @@
 //! The work that follows from an event and blocks: commands of the store, and assembling results.
 //!
-//! The scheduler's lock is never held during a call of the store. Commands about records of jobs take turns
-//! (`Coordinator::turn`): the scheduler receives them in the order of the store. The outputs of tiles do not,
+//! The scheduler's lock is never held during a call of the store. Commands about records of jobs hold the
+//! lock of `JobChanges`: the scheduler receives them in the order of the store. The outputs of tiles do not,
 //! so that many of them share one sync of the disk.
 
 use std::collections::VecDeque;
@@ -16,7 +16,7 @@ use sightline_store::{BlobError, StoreError};
 use crate::dispatch::follow_ups::FollowUp;
 use crate::dispatch::{FollowUps, tell};
 use crate::jobs::invalidate;
-use crate::jobs::retention_stamp;
+use crate::records::JobChanges;
 use crate::results::finalize;
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
@@ -44,11 +44,9 @@ impl FollowUps {
 
 /// Runs a command of the store and passes its outcome to the scheduler.
 fn run(c: &Arc<Coordinator>, command: StoreCommand) -> FollowUps {
-    // Until the scheduler has received the outcome.
-    let _turn = c.turn();
-    let mut follow_ups = FollowUps::default();
-    match outcome(c, &command, &mut follow_ups) {
-        Ok(Some(event)) => follow_ups.extend(tell(c, event)),
+    let mut changes = JobChanges::begin(c);
+    match outcome(&mut changes, &command) {
+        Ok(Some(event)) => changes.tell(event),
         Ok(None) => {}
         // The job has changed in the meantime; the scheduler has received that, or will.
         Err(StoreError::IllegalTransition { .. } | StoreError::UnknownJob { .. }) => {}
@@ -56,29 +54,25 @@ fn run(c: &Arc<Coordinator>, command: StoreCommand) -> FollowUps {
             let text = format!("no tiles are granted for a while: {e}");
             tracing::error!("{text}");
             c.happened(LogEvent::of(Kind::Coordinator, text));
-            follow_ups.extend(tell(c, Event::Refused(command)));
+            changes.tell(Event::Refused(command));
         }
     }
-    follow_ups
+    changes.finish()
 }
 
+/// Carries out a command; returns the event of its outcome.
 fn outcome(
-    c: &Arc<Coordinator>,
+    changes: &mut JobChanges<'_>,
     command: &StoreCommand,
-    follow_ups: &mut FollowUps,
 ) -> Result<Option<Event>, StoreError> {
+    let c = changes.coordinator();
     let changed = |record| Ok(Some(Event::JobChanged(Box::new(record))));
     match command {
         StoreCommand::Bind(id, profile) => {
-            Ok(Some(Event::Bound(*id, c.store.bind_profile(*id, profile)?)))
+            Ok(Some(Event::Bound(*id, changes.bind_profile(*id, profile)?)))
         }
         StoreCommand::Start(id) => {
-            let record = c.store.set_job_state(
-                *id,
-                &[JobPhase::Queued],
-                JobState::Running,
-                retention_stamp::end_time(c),
-            )?;
+            let record = changes.set_state(*id, &[JobPhase::Queued], JobState::Running)?;
             c.happened(LogEvent::of_job(Kind::Job, *id, "the job is running"));
             changed(record)
         }
@@ -88,7 +82,7 @@ fn outcome(
             worker,
             reason,
         } => {
-            let on = c.store.fail_tile(*job, *tile, worker, reason)?;
+            let on = changes.fail_tile((*job, *tile), worker, reason)?;
             // What the tile failed on may be in them.
             c.crews.outcomes.remove((*job, *tile));
             let reason = reason.clone();
@@ -107,7 +101,7 @@ fn outcome(
             worker,
             reason,
         } => {
-            let on = c.store.count_death(*job, *tile, worker, reason)?;
+            let on = changes.count_death((*job, *tile), worker, reason)?;
             let (reason, dead) = (reason.clone(), Some(worker.clone()));
             Ok(Some(Event::FailureRecorded {
                 job: *job,
@@ -123,7 +117,7 @@ fn outcome(
             worker,
             reason,
         } => {
-            c.store.forget_failure(*job, *tile, worker, reason)?;
+            changes.forget_failure((*job, *tile), worker, reason)?;
             Ok(None)
         }
         StoreCommand::SetAside {
@@ -134,20 +128,14 @@ fn outcome(
         } => {
             for &tile in tiles {
                 let made = set_aside(c, work, tile);
-                let (digest, bytes) = match made {
+                let made = match made {
                     Ok(made) => made,
                     Err(e) => {
                         tracing::error!("tile {tile} of job {job} cannot be set aside: {e}");
                         return Ok(Some(Event::Refused(command.clone())));
                     }
                 };
-                match c.store.set_aside_tile(
-                    *job,
-                    tile,
-                    digest,
-                    bytes,
-                    std::slice::from_ref(reason),
-                ) {
+                match changes.set_aside_tile((*job, tile), made, reason) {
                     Ok(()) => {
                         let text = "is set aside: its cells will show every triangle";
                         tracing::error!("tile {tile} of job {job} {text}");
@@ -163,14 +151,11 @@ fn outcome(
                     Err(StoreError::TileNotOpen { .. }) => {}
                     Err(e) => return Err(e),
                 }
-                follow_ups.extend(tell(
-                    c,
-                    Event::SetAside {
-                        job: *job,
-                        tile,
-                        digest,
-                    },
-                ));
+                changes.tell(Event::SetAside {
+                    job: *job,
+                    tile,
+                    digest: made.0,
+                });
             }
             Ok(None)
         }
@@ -184,7 +169,7 @@ fn outcome(
                 worker: worker.clone(),
                 at_ms: c.now().unix_ms,
             };
-            c.store.confirm_tile(*job, *tile, *digest, check)?;
+            changes.confirm_tile((*job, *tile), *digest, check)?;
             Ok(None)
         }
         StoreCommand::Quarantine {
@@ -192,7 +177,7 @@ fn outcome(
             condemned,
             reason,
         } => {
-            invalidate::condemn(c, workers, *condemned, reason, follow_ups)?;
+            invalidate::condemn(changes, workers, *condemned, reason)?;
             Ok(None)
         }
         StoreCommand::FailJob(id, reason) => {
@@ -201,10 +186,8 @@ fn outcome(
             let failed = JobState::Failed {
                 reason: reason.clone(),
             };
-            let at = retention_stamp::end_time(c);
-            let record =
-                c.store
-                    .set_job_state(*id, &[JobPhase::Queued, JobPhase::Running], failed, at)?;
+            let from = [JobPhase::Queued, JobPhase::Running];
+            let record = changes.set_state(*id, &from, failed)?;
             c.happened(LogEvent::of_job(
                 Kind::Job,
                 *id,

@@ -5,8 +5,8 @@ use sightline_records::{JobPhase, JobState};
 use sightline_scheduler::Event;
 use sightline_store::StoreError;
 
-use crate::dispatch::{FollowUps, tell};
-use crate::jobs::retention_stamp;
+use crate::dispatch::FollowUps;
+use crate::records::JobChanges;
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 
@@ -17,15 +17,14 @@ pub(crate) fn turned(
     from: &[JobPhase],
     to: JobState,
 ) -> Result<FollowUps, StoreError> {
-    let _turn = c.turn();
-    let record = c
-        .store
-        .set_job_state(id, from, to, retention_stamp::end_time(c))?;
+    let mut changes = JobChanges::begin(c);
+    let record = changes.set_state(id, from, to)?;
     tracing::info!("job {id} is {}", record.state.phase());
     c.happened(LogEvent::of_job(
         Kind::Job,
         id,
         format!("the job is {}", record.state.phase()),
     ));
-    Ok(tell(c, Event::JobChanged(Box::new(record))))
+    changes.tell(Event::JobChanged(Box::new(record)));
+    Ok(changes.finish())
 }

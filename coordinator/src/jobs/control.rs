@@ -9,9 +9,10 @@ use sightline_store::StoreError;
 use sightline_traces::TraceId;
 
 use crate::access::Caller;
-use crate::dispatch::{FollowUps, tell};
+use crate::dispatch::tell;
 use crate::jobs::changes::turned;
 use crate::jobs::stored_spec;
+use crate::records::JobChanges;
 use crate::state::{Coordinator, MissingBlob};
 use crate::telemetry::events::{Kind, LogEvent};
 
@@ -314,15 +315,16 @@ pub(crate) fn prioritize(
     priority: i32,
 ) -> Result<Summary, JobError> {
     let follow_ups = {
-        let _turn = c.turn();
-        let record = c.store.prioritize_job(id, priority)?;
+        let mut changes = JobChanges::begin(c);
+        let record = changes.prioritize(id, priority)?;
         tracing::info!("job {id} has priority {priority}");
         c.happened(LogEvent::of_job(
             Kind::Job,
             id,
             format!("the job has priority {priority}"),
         ));
-        tell(c, Event::JobChanged(Box::new(record)))
+        changes.tell(Event::JobChanged(Box::new(record)));
+        changes.finish()
     };
     follow_ups.run(c);
     Ok(summary(c, id)?)
@@ -343,25 +345,31 @@ fn turn(
 /// Continues a failed or cancelled job, or a done one with tiles set aside, with the tiles that it has. A job
 /// that has not ended stays as it is.
 pub(crate) fn retry(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
-    let mut follow_ups = FollowUps::default();
-    {
-        let _turn = c.turn();
-        let before = record(c, id)?;
-        if before.state.phase().ended() {
-            // Checked first: otherwise the job would be open in the store and absent from the scheduler.
-            let work = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
-            let work = Arc::new(work);
-            Job::new(before, Arc::clone(&work), c.store.tiles(id)?).map_err(JobError::Outdated)?;
-            c.store.reopen_tiles(id)?;
-            let after = record(c, id)?;
-            if !after.state.phase().ended() {
-                let job = Job::new(after, work, c.store.tiles(id)?).map_err(JobError::Outdated)?;
-                follow_ups = tell(c, Event::TakenUp(Box::new(job)));
-                tracing::info!("job {id} is tried again");
-                c.happened(LogEvent::of_job(Kind::Job, id, "the job is tried again"));
-            }
-        }
-    }
-    follow_ups.run(c);
+    let mut changes = JobChanges::begin(c);
+    let retried = reopen(&mut changes, id);
+    changes.finish().run(c);
+    retried?;
     Ok(summary(c, id)?)
+}
+
+/// Reopens the tiles of an ended job, and gives the job to the scheduler.
+fn reopen(changes: &mut JobChanges<'_>, id: JobId) -> Result<(), JobError> {
+    let c = changes.coordinator();
+    let before = record(c, id)?;
+    if !before.state.phase().ended() {
+        return Ok(());
+    }
+    // Checked first: otherwise the job would be open in the store and absent from the scheduler.
+    let work = stored_spec::whole(&*c.blobs, &before.spec).map_err(JobError::Outdated)?;
+    let work = Arc::new(work);
+    Job::new(before, Arc::clone(&work), c.store.tiles(id)?).map_err(JobError::Outdated)?;
+    changes.reopen_tiles(id)?;
+    let after = record(c, id)?;
+    if !after.state.phase().ended() {
+        let job = Job::new(after, work, c.store.tiles(id)?).map_err(JobError::Outdated)?;
+        changes.tell(Event::TakenUp(Box::new(job)));
+        tracing::info!("job {id} is tried again");
+        c.happened(LogEvent::of_job(Kind::Job, id, "the job is tried again"));
+    }
+    Ok(())
 }

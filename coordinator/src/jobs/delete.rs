@@ -10,6 +10,7 @@ use sightline_store::StoreError;
 use crate::jobs::control::{self, JobError, Summary};
 use crate::jobs::stored_spec;
 use crate::kept::PartialCache;
+use crate::records::{JobChanges, OutputRemoval};
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 
@@ -29,9 +30,10 @@ pub(crate) fn named(c: &Coordinator, job: &JobRecord) -> Result<BTreeSet<Digest>
     Ok(all)
 }
 
-/// Removes a deleted job's scene if no job names it and nobody else has sent it. The caller holds the turn,
-/// so that nobody submits a job on it meanwhile.
-fn forget_scene(c: &Coordinator, job: &JobRecord) {
+/// Removes a deleted job's scene if no job names it and no other user has sent it. No job is submitted in the
+/// meantime.
+fn forget_scene(changes: &mut JobChanges<'_>, job: &JobRecord) {
+    let c = changes.coordinator();
     let record = match c.store.scene(&job.scene) {
         Ok(Some(record)) => record,
         Ok(None) => return,
@@ -40,7 +42,7 @@ fn forget_scene(c: &Coordinator, job: &JobRecord) {
     if record.owners.iter().any(|owner| *owner != job.owner) {
         return;
     }
-    match c.store.delete_scene(job.scene) {
+    match changes.delete_scene(job.scene) {
         Ok(_) => {
             if let Err(e) = c.blobs.remove(&job.scene) {
                 tracing::warn!("{e}");
@@ -54,12 +56,12 @@ fn forget_scene(c: &Coordinator, job: &JobRecord) {
 
 /// Deletes a job that has ended, with all that no other job needs; returns what it was.
 pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobError> {
-    let _turn = c.turn();
+    let mut changes = JobChanges::begin(c);
     // No output is committed meanwhile, so none that is committed is removed.
-    let _alone = c.no_commits();
+    let removal = OutputRemoval::begin(c);
     let was = control::summary(c, id)?;
     let mut free = named(c, &was.record)?;
-    c.store.delete_job(id)?;
+    changes.delete(id)?;
     for other in c.store.jobs()? {
         if free.is_empty() {
             break;
@@ -69,14 +71,8 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
             free.remove(&digest);
         }
     }
-    // Who leads no more does not know what others need.
-    c.store.may_change()?;
-    for digest in &free {
-        if let Err(e) = c.blobs.remove(digest) {
-            tracing::warn!("{e}");
-        }
-    }
-    forget_scene(c, &was.record);
+    removal.remove(free)?;
+    forget_scene(&mut changes, &was.record);
     c.crews.outcomes.sweep(|other| other != id);
     *c.last_partial
         .lock()
@@ -89,5 +85,7 @@ pub(crate) fn delete(c: &Arc<Coordinator>, id: JobId) -> Result<Summary, JobErro
         id,
         format!("the job ({}) is deleted", was.record.name),
     ));
+    drop(removal);
+    changes.finish().run(c);
     Ok(was)
 }

@@ -9,30 +9,27 @@ use sightline_records::{JobPhase, JobRecord, QuarantineRecord};
 use sightline_scheduler::{Event, Job};
 use sightline_store::{StoreError, TileFilter, untrusted_tiles};
 
-use crate::dispatch::{FollowUps, tell};
-use crate::jobs::retention_stamp;
 use crate::jobs::stored_spec;
-use crate::state::Coordinator;
+use crate::records::{JobChanges, OutputRemoval};
 use crate::telemetry::events::{Kind, LogEvent};
 
-/// Quarantines workers, and has what they did since they were last right computed again. To be called while
-/// holding the turn.
+/// Quarantines workers, and reopens the tiles that they computed since they were last right.
 pub(crate) fn condemn(
-    c: &Coordinator,
+    changes: &mut JobChanges<'_>,
     workers: &[String],
     condemned: Option<(JobId, TileIndex)>,
     reason: &str,
-    follow_ups: &mut FollowUps,
 ) -> Result<(), StoreError> {
+    let c = changes.coordinator();
     // The quarantine is recorded last: after a crash before that the worker is only found once more.
-    for (job, tiles) in untrusted_tiles(&*c.store, workers, condemned)? {
+    for (job, tiles) in untrusted_tiles(c.store.queries(), workers, condemned)? {
         if let Some(record) = c.store.job(job)? {
-            open_again(c, record, tiles, true, follow_ups)?;
+            open_again(changes, record, tiles, true)?;
         }
     }
     // Phases of open tiles that they may have computed are computed again, too.
     c.crews.outcomes.sweep(|_| false);
-    follow_ups.extend(tell(c, Event::Swept));
+    changes.tell(Event::Swept);
     for worker in workers {
         let at_ms = c.now().unix_ms;
         let record = QuarantineRecord {
@@ -40,7 +37,7 @@ pub(crate) fn condemn(
             at_ms,
             reason: reason.to_owned(),
         };
-        c.store.quarantine(record)?;
+        changes.quarantine(record)?;
         let text = format!(
             "WORKER {worker} IS QUARANTINED: {reason}. What it did since it was last right is computed \
              again. Find out what is wrong with its machine, driver or program; `sightline workers --release \
@@ -52,12 +49,12 @@ pub(crate) fn condemn(
     Ok(())
 }
 
-/// Opens tiles again; returns how many of each job. To be called while holding the turn.
+/// Opens tiles again; returns how many of each job.
 pub(crate) fn invalidate(
-    c: &Coordinator,
+    changes: &mut JobChanges<'_>,
     filter: &TileFilter,
-    follow_ups: &mut FollowUps,
 ) -> Result<BTreeMap<JobId, u32>, StoreError> {
+    let c = changes.coordinator();
     let jobs = match filter.job {
         Some(id) => {
             let job = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
@@ -83,32 +80,32 @@ pub(crate) fn invalidate(
             .collect();
         if !tiles.is_empty() {
             let id = job.id;
-            opened.insert(id, open_again(c, job, tiles, true, follow_ups)?);
+            opened.insert(id, open_again(changes, job, tiles, true)?);
         }
     }
     Ok(opened)
 }
 
-/// Opens tiles of a job whose outputs are lost. To be called while holding the turn.
+/// Opens tiles of a job whose outputs are lost.
 pub(crate) fn open(
-    c: &Coordinator,
+    changes: &mut JobChanges<'_>,
     job: JobId,
     tiles: BTreeSet<TileIndex>,
-    follow_ups: &mut FollowUps,
 ) -> Result<u32, StoreError> {
+    let c = changes.coordinator();
     let record = c.store.job(job)?.ok_or(StoreError::UnknownJob { job })?;
-    open_again(c, record, tiles, false, follow_ups)
+    open_again(changes, record, tiles, false)
 }
 
 /// Opens tiles of a job, `with` those that were computed from them, and lets the scheduler begin anew with
 /// it.
 fn open_again(
-    c: &Coordinator,
+    changes: &mut JobChanges<'_>,
     job: JobRecord,
     tiles: BTreeSet<TileIndex>,
     with: bool,
-    follow_ups: &mut FollowUps,
 ) -> Result<u32, StoreError> {
+    let c = changes.coordinator();
     let (id, was) = (job.id, job.state.phase());
     let work = stored_spec::whole(&*c.blobs, &job.spec).map(Arc::new);
     if work.is_err()
@@ -139,8 +136,8 @@ fn open_again(
     let tiles: Vec<TileIndex> = tiles.into_iter().collect();
     // An output that was computed from these tiles and is being committed is there before, and opened with
     // them, or finds its lease taken back.
-    let _alone = c.no_commits();
-    let opened = c.store.invalidate_tiles(id, &tiles)?;
+    let no_commits = OutputRemoval::begin(c);
+    let opened = changes.invalidate_tiles(&no_commits, id, &tiles)?;
     let text = match was {
         JobPhase::Done => {
             format!("the result is not believed any more; all {opened} tiles are computed again")
@@ -158,14 +155,12 @@ fn open_again(
         return Ok(opened);
     };
     match again(record) {
-        Ok(job) => follow_ups.extend(tell(c, Event::TakenUp(Box::new(job)))),
+        Ok(job) => changes.tell(Event::TakenUp(Box::new(job))),
         Err(reason) => {
             let from = [JobPhase::Queued, JobPhase::Running, JobPhase::Paused];
             let failed = sightline_records::JobState::Failed { reason };
-            let record = c
-                .store
-                .set_job_state(id, &from, failed, retention_stamp::end_time(c))?;
-            follow_ups.extend(tell(c, Event::JobChanged(Box::new(record))));
+            let record = changes.set_state(id, &from, failed)?;
+            changes.tell(Event::JobChanged(Box::new(record)));
         }
     }
     Ok(opened)

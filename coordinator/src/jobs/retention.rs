@@ -15,6 +15,7 @@ use crate::blobs::references::{self, KeepingError};
 use crate::jobs::control::JobError;
 use crate::jobs::delete;
 use crate::jobs::retention_clock::{Age, Kind};
+use crate::records::{JobChanges, OutputRemoval};
 use crate::state::Coordinator;
 use crate::telemetry::events::{self, LogEvent};
 
@@ -44,16 +45,18 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         return;
     }
     let alone = |remove: &mut dyn FnMut()| {
-        let _turn = c.turn();
-        let _alone = c.no_commits();
+        // While these are held, no job that names a blob is submitted and no output is committed.
+        let changes = JobChanges::begin(c);
+        let _removal = OutputRemoval::begin(c);
         // Who leads no more does not know what others need.
         if c.store.may_change().is_ok() {
             remove();
         }
+        changes.finish().run(c);
     };
     let grace = c.retention.grace;
     let is_old = |digest: &Digest, written| is_old_blob(c, Kind::Blobs, (digest, written), grace);
-    match references::sweep(&*c.store, &*c.blobs, &is_old, &alone) {
+    match references::sweep(c.store.queries(), &*c.blobs, &is_old, &alone) {
         Ok((0, _)) => {}
         Ok((blobs, bytes)) => {
             let text = format!("{blobs} blobs that nobody needs are removed, {bytes} bytes");
@@ -218,7 +221,10 @@ fn old_scenes(c: &Arc<Coordinator>) -> Result<(), Fault> {
         let written = c.blobs.written(&scene.digest).map_err(KeepingError::from)?;
         // One whose blob is lost can only be sent again.
         if written.is_none_or(|at| is_old_blob(c, Kind::Jobs, (&scene.digest, at), keep)) {
-            match c.store.delete_scene(scene.digest) {
+            let mut changes = JobChanges::begin(c);
+            let deleted = changes.delete_scene(scene.digest);
+            changes.finish().run(c);
+            match deleted {
                 Ok(_) | Err(StoreError::SceneInUse { .. } | StoreError::UnknownScene { .. }) => {}
                 Err(e) => return Err(e.into()),
             }

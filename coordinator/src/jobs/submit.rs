@@ -9,9 +9,9 @@ use sightline_scheduler::{Event, Job};
 use sightline_store::{BlobError, StoreError};
 use sightline_traces::Begun;
 
-use crate::dispatch::{FollowUps, tell};
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
+use crate::records::JobChanges;
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans::Cause;
@@ -129,7 +129,7 @@ pub(crate) fn submit(
         reserve_quota(c, owner, more, sent)?;
     }
     // Nobody else changes the job until the scheduler has it, and no blob that it will name is deleted.
-    let mut turn = c.turn();
+    let mut changes = JobChanges::begin(c);
     if let Some(ambient) = spec.ambient() {
         receivers::hold(c, ambient.receivers)?;
     }
@@ -145,7 +145,7 @@ pub(crate) fn submit(
         tiles: plan.tiles.len() as u32,
         submitted_at_ms: c.now().unix_ms,
     };
-    let mut submitted = c.store.submit_job(job.clone()).map_err(|e| match e {
+    let mut submitted = changes.submit(job.clone()).map_err(|e| match e {
         // By the id that the client gave.
         StoreError::RequestIdReused { job, .. } => StoreError::RequestIdReused {
             request_id: request_id.clone(),
@@ -157,9 +157,7 @@ pub(crate) fn submit(
         && let Some(result) = result_of(c, submitted.id)?
     {
         // Reading a large result takes time; nobody else waits for it.
-        drop(turn);
-        let lost = c.blobs.open_checked(&result).err();
-        turn = c.turn();
+        let lost = changes.unlocked(|| c.blobs.open_checked(&result).err());
         if let Some(e) = lost.as_ref().filter(|e| e.passes()) {
             return Err(e.clone().into());
         }
@@ -172,15 +170,14 @@ pub(crate) fn submit(
                 submitted.id
             );
             c.blobs.remove(&result)?;
-            c.store.delete_job(submitted.id)?;
-            submitted = c.store.submit_job(job)?;
+            changes.delete(submitted.id)?;
+            submitted = changes.submit(job)?;
         }
     }
     if let Some(ambient) = spec.ambient() {
         // From now on it is the job that names them.
         c.uploads.forget(owner, &[ambient.receivers]);
     }
-    let mut follow_ups = FollowUps::default();
     if !submitted.existing {
         let id = submitted.id;
         let record = c.store.job(id)?.ok_or(StoreError::UnknownJob { job: id })?;
@@ -197,11 +194,10 @@ pub(crate) fn submit(
         };
         let text = format!("{name} is submitted{by}; tiles: {}", plan.tiles.len());
         c.happened(LogEvent::of_job(Kind::Submitted, id, text));
-        follow_ups = tell(c, Event::TakenUp(Box::new(job)));
+        changes.tell(Event::TakenUp(Box::new(job)));
         c.spans.planned(id, begun, plan.tiles.len(), *cause);
     }
-    drop(turn);
-    follow_ups.run(c);
+    changes.finish().run(c);
     Ok(submitted)
 }
 

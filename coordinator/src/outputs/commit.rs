@@ -17,6 +17,7 @@ use sightline_viewcells::Tile;
 use crate::dispatch::{FollowUps, tell};
 use crate::outputs::presigned;
 use crate::quota::Sender;
+use crate::records::OutputCommit;
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans;
@@ -333,12 +334,12 @@ fn commit(
             drop(tell(c, Event::DiskFull(lease)));
         }
     };
-    // Nobody removes outputs meanwhile: a record may only name a blob that is present.
-    let _committing = c.committing();
-    // Nor opens tiles again. Until now somebody may have, with those that this one was computed from.
+    // While this is held, no output is removed: a record may only name a blob that is present. No tile is reopened
+    // either; until now it may have been, with the tiles from which this one was computed.
+    let (committing, admitted) = OutputCommit::begin(c, lease)?;
     let Admitted {
         helpers, counts, ..
-    } = c.lock().scheduler.admit(&lease)?;
+    } = admitted;
     if !counts {
         return Err(ResultError::NoLease(lease));
     }
@@ -363,7 +364,7 @@ fn commit(
         bytes: announced.bytes,
         stats: stats.clone(),
     };
-    let outcome = c.store.commit_tile(id, tile, result).inspect_err(|e| {
+    let outcome = committing.record(result).inspect_err(|e| {
         if matches!(e, StoreError::Journal(_)) {
             drop(tell(c, Event::DiskFull(lease)));
         }

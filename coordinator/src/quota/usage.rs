@@ -1,7 +1,7 @@
 //! What a user has, counted from the store's records.
 
 use sightline_records::JobState;
-use sightline_store::{Store, StoreError};
+use sightline_store::{Queries, StoreError};
 
 use super::{LimitExceeded, Quota};
 use crate::jobs::stored_spec;
@@ -16,7 +16,7 @@ pub(crate) struct Usage {
 }
 
 /// What a user has by the records; chunks that are no scene yet are not among them.
-pub(crate) fn usage(store: &dyn Store, user: &str) -> Result<Usage, StoreError> {
+pub(crate) fn usage(store: &dyn Queries, user: &str) -> Result<Usage, StoreError> {
     let mut usage = Usage::default();
     for scene in store
         .scenes()?

@@ -13,8 +13,8 @@ use sightline_traces::Begun;
 
 use crate::dispatch::{FollowUps, tell};
 use crate::jobs::invalidate;
-use crate::jobs::retention_stamp;
 use crate::jobs::suspend;
+use crate::records::{JobChanges, OutputRemoval};
 use crate::results::assembly::{AssembleError, AssemblyInput, assemble};
 use crate::state::{Coordinator, MissingBlob};
 use crate::telemetry::events::{Kind, LogEvent};
@@ -62,9 +62,11 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
             }
         }
     };
-    // Until the scheduler has heard of the end.
-    let turn = c.turn();
-    let now = retention_stamp::end_time(c);
+    let mut changes = JobChanges::begin(c);
+    let told = |mut changes: JobChanges<'_>, event| {
+        changes.tell(event);
+        changes.finish()
+    };
     // Tiles may have been opened again, or computed again, while the result was assembled.
     let now_there = c
         .lock()
@@ -72,19 +74,18 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
         .job(id)
         .map(|job| job.tiles.iter().map(|t| t.output).collect::<Vec<_>>());
     if now_there.as_ref() != Some(&parts.outputs) {
-        return tell(c, Event::AssemblyDropped(id));
+        return told(changes, Event::AssemblyDropped(id));
     }
     let ended = match assembled {
         // Another job with the same bytes may have been deleted before this one's record could name them.
         Ok((digest, _)) if !c.blobs.has(&digest).unwrap_or(true) => {
-            return tell(c, Event::AssemblyDropped(id));
+            return told(changes, Event::AssemblyDropped(id));
         }
-        Ok((digest, bytes)) => c.store.finish_job(id, digest, bytes, now),
+        Ok((digest, bytes)) => changes.finish_job(id, digest, bytes),
         Err(e) => {
             tracing::error!("job {id} has no result: {e}");
             let failed = JobState::Failed { reason: e };
-            c.store
-                .set_job_state(id, &[JobPhase::Queued, JobPhase::Running], failed, now)
+            changes.set_state(id, &[JobPhase::Queued, JobPhase::Running], failed)
         }
     };
     let record = match ended {
@@ -96,11 +97,11 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
             | StoreError::TilesOpen { .. }
             | StoreError::ResultDiffers { .. },
         ) => {
-            return tell(c, Event::AssemblyDropped(id));
+            return told(changes, Event::AssemblyDropped(id));
         }
         Err(e) => {
             tracing::error!("job {id} cannot be ended and is tried again: {e}");
-            return tell(c, Event::AssemblyWaits(id));
+            return told(changes, Event::AssemblyWaits(id));
         }
     };
     if let JobState::Failed { reason } = &record.state {
@@ -119,8 +120,8 @@ pub(crate) fn finish(c: &Coordinator, id: JobId) -> FollowUps {
         ));
     }
     let done = matches!(record.state, JobState::Done { .. });
-    let follow_ups = tell(c, Event::JobChanged(Box::new(record)));
-    drop(turn);
+    changes.tell(Event::JobChanged(Box::new(record)));
+    let follow_ups = changes.finish();
     if done && parts.outputs.iter().all(|o| matches!(o, Output::Done(_))) {
         tidy(c, id, &parts.outputs);
     }
@@ -190,40 +191,34 @@ fn compute_again(
         return None;
     }
     tracing::error!("{e}; {} tiles of job {id} are computed again", lost.len());
-    let _turn = c.turn();
+    let mut changes = JobChanges::begin(c);
     {
-        // Before somebody puts a good one in its place.
-        let _alone = c.no_commits();
-        for (_, digest) in &lost {
-            let is_broken = c.blobs.open_checked(digest).is_err_and(|e| e.is_broken());
-            if let Err(e) = if is_broken {
-                c.blobs.remove(digest)
-            } else {
-                Ok(false)
-            } {
-                tracing::warn!("{e}");
-            }
+        // Before another upload replaces one.
+        let removal = OutputRemoval::begin(c);
+        let broken = lost.iter().map(|(_, digest)| *digest);
+        let broken = broken.filter(|d| c.blobs.open_checked(d).is_err_and(|e| e.is_broken()));
+        if let Err(e) = removal.remove(broken) {
+            tracing::warn!("{e}");
         }
     }
-    let mut follow_ups = FollowUps::default();
     let tiles = lost.iter().map(|(tile, _)| *tile).collect();
-    // Their dependents were computed from what was there.
-    let opened = invalidate::open(c, id, tiles, &mut follow_ups);
-    match opened {
-        Ok(_) => Some(follow_ups),
-        Err(StoreError::UnknownJob { .. }) => Some(tell(c, Event::AssemblyDropped(id))),
+    // Their dependents were computed from the earlier outputs.
+    match invalidate::open(&mut changes, id, tiles) {
+        Ok(_) => {}
+        Err(StoreError::UnknownJob { .. }) => changes.tell(Event::AssemblyDropped(id)),
         Err(e) => {
             tracing::error!("job {id} cannot be continued yet: {e}");
-            Some(tell(c, Event::AssemblyWaits(id)))
+            changes.tell(Event::AssemblyWaits(id));
         }
     }
+    Some(changes.finish())
 }
 
 /// Removes the tile outputs of a finished job, whose result contains them, unless another job needs them: one
 /// that has not ended or that can be retried.
 fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
     // No output is committed meanwhile, so none that is committed is removed.
-    let _alone = c.no_commits();
+    let removal = OutputRemoval::begin(c);
     let mut free: BTreeSet<Digest> = outputs.iter().filter_map(Output::digest).collect();
     let ids = c.lock().scheduler.job_ids();
     for id in ids {
@@ -260,18 +255,9 @@ fn tidy(c: &Coordinator, finished: JobId, outputs: &[Output]) {
         }
         Ok(())
     });
-    // Who leads no more does not know what others need.
-    if let Err(e) = ended.and_then(|()| c.store.may_change()) {
+    let unneeded = outputs.iter().filter_map(Output::digest);
+    let unneeded = unneeded.filter(|d| free.contains(d));
+    if let Err(e) = ended.and_then(|()| removal.remove(unneeded)) {
         tracing::warn!("the tile outputs of job {finished} are kept: {e}");
-        return;
-    }
-    for digest in outputs
-        .iter()
-        .filter_map(Output::digest)
-        .filter(|d| free.contains(d))
-    {
-        if let Err(e) = c.blobs.remove(&digest) {
-            tracing::warn!("{e}");
-        }
     }
 }

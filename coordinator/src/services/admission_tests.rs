@@ -27,11 +27,11 @@ use tonic::{Code, Request, Status};
 use super::connections::{ConnectionLimits, Connections, Listener};
 use super::{serve, serve_http};
 use crate::access::Caller;
-use crate::dispatch::run::happened;
 use crate::jobs::control;
 use crate::kept::SceneQueries;
 use crate::lifecycle::Config;
 use crate::quota::Quotas;
+use crate::records::JobChanges;
 use crate::state::Coordinator;
 use crate::tests::life::{join, output, put, triangle, two_tiles};
 use crate::workers::lease_tags::Use;
@@ -320,8 +320,10 @@ async fn stranger_under_name_of_worker_cannot_bring_it_into_quarantine() {
         at_ms: 1,
         reason: "it lied".to_owned(),
     };
-    served.c.store.quarantine(record).unwrap();
-    happened(&served.c, Event::Quarantined(signature));
+    let mut changes = JobChanges::begin(&served.c);
+    changes.quarantine(record).unwrap();
+    changes.tell(Event::Quarantined(signature));
+    changes.finish().run(&served.c);
     assert!(troubles(&served)[0].is_some_and(|trouble| trouble.contains("quarantined")));
     drop(stream);
     until(|| troubles(&served).is_empty()).await;

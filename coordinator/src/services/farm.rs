@@ -16,9 +16,9 @@ use tonic::{Request, Response, Status};
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
 use super::{status, wire};
-use crate::dispatch::FollowUps;
 use crate::jobs::invalidate;
 use crate::jobs::tiles;
+use crate::records::JobChanges;
 use crate::state::Coordinator;
 use crate::workers::quarantine;
 
@@ -123,12 +123,9 @@ impl v1::farm_server::Farm for FarmService {
             to_ms: to_ms.unwrap_or(u64::MAX),
         };
         blocking(&self.0, move |c| {
-            let mut follow_ups = FollowUps::default();
-            let opened = {
-                let _turn = c.turn();
-                invalidate::invalidate(c, &which, &mut follow_ups)
-            };
-            follow_ups.run(c);
+            let mut changes = JobChanges::begin(c);
+            let opened = invalidate::invalidate(&mut changes, &which);
+            changes.finish().run(c);
             let opened = opened.map_err(|e| status::of_store(&e))?;
             let jobs = opened
                 .into_iter()

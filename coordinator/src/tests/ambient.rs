@@ -270,7 +270,7 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
     // From the submission on the job counts them, and makes them their owner's.
     let id = submit(&c, &of(&c, scene, digest, "ada")).unwrap().id;
     assert_eq!(c.uploads.bytes("ada"), 0);
-    let has = usage(&*c.store, "ada").unwrap();
+    let has = usage(c.store.queries(), "ada").unwrap();
     assert_eq!(
         has,
         Usage {
@@ -289,10 +289,10 @@ fn receivers_are_their_senders_and_count_as_what_a_user_has() {
     ));
     // They are kept as long as a job names them.
     let alone = |remove: &mut dyn FnMut()| remove();
-    references::sweep(&*c.store, &*c.blobs, &|_, _| true, &alone).unwrap();
+    references::sweep(c.store.queries(), &*c.blobs, &|_, _| true, &alone).unwrap();
     assert!(c.blobs.has(&digest).unwrap());
     let lost = |c: &Coordinator| {
-        references::verify(&*c.store, &*c.blobs, &|_| ())
+        references::verify(c.store.queries(), &*c.blobs, &|_| ())
             .unwrap()
             .lost
             .len()

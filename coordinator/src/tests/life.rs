@@ -26,6 +26,7 @@ use crate::jobs::control::{self, JobError};
 use crate::jobs::submit::{Submission, SubmitError, submit};
 use crate::lifecycle;
 use crate::outputs::commit::{self, Origin, ResultError, UploadHeader, Weight};
+use crate::records::JobChanges;
 use crate::state::{Coordinator, Leases};
 use crate::workers::sessions::{self, Message};
 
@@ -325,13 +326,15 @@ fn a_job_of_another_version_is_not_retried() {
         tiles: 2,
         submitted_at_ms: 0,
     };
-    let id = c.store.submit_job(job).unwrap().id;
+    let mut changes = JobChanges::begin(&c);
+    let id = changes.submit(job).unwrap().id;
     let failed = JobState::Failed {
         reason: "as it was".to_owned(),
     };
-    c.store
-        .set_job_state(id, &[JobPhase::Queued], failed.clone(), 1)
+    changes
+        .set_state(id, &[JobPhase::Queued], failed.clone())
         .unwrap();
+    changes.finish().run(&c);
     let refused = control::retry(&c, id).unwrap_err();
     assert!(matches!(refused, JobError::Outdated(_)), "{refused}");
     assert!(refused.to_string().contains("submit it again"), "{refused}");

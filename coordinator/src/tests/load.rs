@@ -28,6 +28,7 @@ use crate::dispatch::tell;
 use crate::jobs::control;
 use crate::jobs::submit::{Submission, submit};
 use crate::lifecycle::{Config, tick};
+use crate::records::OutputCommit;
 use crate::state::Coordinator;
 use crate::tests::life::{grid, lines};
 use crate::workers::sessions::{self, Message};
@@ -78,7 +79,8 @@ fn job(c: &Arc<Coordinator>, seed: u64, tiles: u64) -> JobId {
 
 /// Commits a tile as an output that arrives does, without the output's own checks and file.
 fn commit(c: &Arc<Coordinator>, lease: Lease) {
-    assert!(c.lock().scheduler.admit(&lease).unwrap().counts);
+    let (committing, admitted) = OutputCommit::begin(c, lease).ok().unwrap();
+    assert!(admitted.counts);
     let mut digest = [0; 32];
     digest[..8].copy_from_slice(&lease.job.0.to_le_bytes());
     digest[8..12].copy_from_slice(&lease.tile.0.to_le_bytes());
@@ -94,7 +96,7 @@ fn commit(c: &Arc<Coordinator>, lease: Lease) {
         bytes: 1,
         stats: stats.clone(),
     };
-    c.store.commit_tile(lease.job, lease.tile, result).unwrap();
+    committing.record(result).unwrap();
     tell(
         c,
         Event::Committed {

@@ -11,10 +11,10 @@ use sightline_scheduler::{Event, Grant, Introduction, Job, Output};
 use sightline_store::TileFilter;
 
 use crate::clock::ManualClock;
-use crate::dispatch::{FollowUps, tell};
 use crate::jobs::invalidate;
 use crate::jobs::stored_spec;
 use crate::outputs::commit::ResultError;
+use crate::records::{JobChanges, OutputCommit, OutputRemoval};
 use crate::state::{Coordinator, Leases};
 use crate::tests::life::{coordinator, granted, join, output, put, two_tiles};
 use crate::tests::trust::alone;
@@ -42,17 +42,10 @@ fn invalidate(c: &Arc<Coordinator>, job: JobId) {
         to_ms: u64::MAX,
         ..TileFilter::default()
     };
-    let mut follow_ups = FollowUps::default();
-    {
-        let _turn = c.turn();
-        assert_eq!(
-            invalidate::invalidate(c, &which, &mut follow_ups)
-                .unwrap()
-                .get(&job),
-            Some(&1)
-        );
-    }
-    follow_ups.run(c);
+    let mut changes = JobChanges::begin(c);
+    let opened = invalidate::invalidate(&mut changes, &which).unwrap();
+    assert_eq!(opened.get(&job), Some(&1));
+    changes.finish().run(c);
 }
 
 /// What the store and the scheduler have of a tile, which is the same.
@@ -72,9 +65,9 @@ fn is_done(c: &Coordinator, job: JobId, tile: u32) -> bool {
 
 #[test]
 fn no_tile_is_opened_again_while_an_output_is_committed() {
-    let (c, id, _) = half_done();
+    let (c, id, grant) = half_done();
     // As between the record of an output and the moment at which the scheduler hears of it.
-    let committing = c.committing();
+    let (committing, _) = OutputCommit::begin(&c, grant.lease).ok().unwrap();
     let (done, is_over) = channel();
     let thread = std::thread::spawn({
         let c = Arc::clone(&c);
@@ -96,7 +89,8 @@ fn no_tile_is_opened_again_while_an_output_is_committed() {
 #[test]
 fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     let (c, id, grant) = half_done();
-    let opening = c.no_commits();
+    let mut changes = JobChanges::begin(&c);
+    let opening = OutputRemoval::begin(&c);
     let thread = std::thread::spawn({
         let (c, bytes) = (Arc::clone(&c), output(&grant, &[]));
         move || put(&c, &grant, &bytes)
@@ -104,12 +98,15 @@ fn an_output_that_was_admitted_before_tiles_are_opened_again_is_refused() {
     // It is checked meanwhile, and waits.
     std::thread::sleep(SOON);
     assert!(!thread.is_finished());
-    c.store.invalidate_tiles(id, &[TileIndex(1)]).unwrap();
+    changes
+        .invalidate_tiles(&opening, id, &[TileIndex(1)])
+        .unwrap();
     let record = c.store.job(id).unwrap().unwrap();
     let work = stored_spec::whole(&*c.blobs, &record.spec).unwrap();
     let job = Job::new(record, Arc::new(work), c.store.tiles(id).unwrap()).unwrap();
-    let follow_ups = tell(&c, Event::TakenUp(Box::new(job)));
+    changes.tell(Event::TakenUp(Box::new(job)));
     drop(opening);
+    let follow_ups = changes.finish();
     let answer = thread.join().unwrap();
     assert!(matches!(answer, Err(ResultError::NoLease(_))), "{answer:?}");
     follow_ups.run(&c);
@@ -134,7 +131,7 @@ fn restarted(c: Arc<Coordinator>) -> Arc<Coordinator> {
     let Coordinator { store, blobs, .. } = alone(c);
     Coordinator::new(
         Leases::default(),
-        store,
+        store.into_store(),
         blobs,
         Box::new(Arc::new(ManualClock::default())),
     )

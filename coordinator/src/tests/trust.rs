@@ -12,7 +12,6 @@ use sightline_store::{Blobs as _, FileBlobs, MemoryBlobs, MemoryStore, StoreErro
 
 use crate::blobs::references;
 use crate::clock::ManualClock;
-use crate::dispatch::FollowUps;
 use crate::jobs::control;
 use crate::jobs::invalidate;
 use crate::jobs::resume;
@@ -21,6 +20,7 @@ use crate::jobs::submit::{SubmitError, submit};
 use crate::kept::Retention;
 use crate::lifecycle::{self, Config};
 use crate::quota::Quotas;
+use crate::records::{JobChanges, OutputRemoval};
 use crate::state::{Coordinator, Leases, MissingBlob};
 use crate::telemetry::readiness::readiness;
 use crate::tests::life::{coordinator, granted, join, nameless, one_cell, output, put, two_tiles};
@@ -155,12 +155,9 @@ fn what_a_person_does_not_believe_is_computed_again() {
     wait_until("the end", || control::result(&c, id).is_ok());
     let before = c.blobs.read(&control::result(&c, id).unwrap()).unwrap();
     let invalidate = |which: TileFilter| {
-        let mut follow_ups = FollowUps::default();
-        let opened = {
-            let _turn = c.turn();
-            invalidate::invalidate(&c, &which, &mut follow_ups).unwrap()
-        };
-        follow_ups.run(&c);
+        let mut changes = JobChanges::begin(&c);
+        let opened = invalidate::invalidate(&mut changes, &which).unwrap();
+        changes.finish().run(&c);
         opened
     };
     let all = TileFilter {
@@ -177,7 +174,9 @@ fn what_a_person_does_not_believe_is_computed_again() {
         tiles: [TileIndex(2)].into(),
         ..all.clone()
     };
-    let refused = invalidate::invalidate(&c, &far, &mut FollowUps::default());
+    let mut changes = JobChanges::begin(&c);
+    let refused = invalidate::invalidate(&mut changes, &far);
+    changes.finish().run(&c);
     assert!(
         matches!(refused, Err(StoreError::UnknownTile { tiles: 2, .. })),
         "{refused:?}"
@@ -272,11 +271,12 @@ fn blobs_that_nobody_needs_go_and_all_others_stay() {
     put(&c, &grant, &output(&grant, &[0])).unwrap();
     let chunk = c.blobs.put(b"a chunk of an upload that was left").unwrap();
     let alone = |remove: &mut dyn FnMut()| remove();
-    let sweep = |is_old| references::sweep(&*c.store, &*c.blobs, &|_, _| is_old, &alone).unwrap();
+    let sweep =
+        |is_old| references::sweep(c.store.queries(), &*c.blobs, &|_, _| is_old, &alone).unwrap();
     assert_eq!(sweep(false), (0, 0));
     assert_eq!(sweep(true), (1, 34));
     assert!(!c.blobs.has(&chunk).unwrap());
-    let found = references::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
+    let found = references::verify(c.store.queries(), &*c.blobs, &|_| ()).unwrap();
     assert_eq!(
         (
             found.scenes,
@@ -291,9 +291,15 @@ fn blobs_that_nobody_needs_go_and_all_others_stay() {
     c.blobs
         .remove(blake3::hash(&output(&grant, &[0])).as_bytes())
         .unwrap();
-    let found = references::verify(&*c.store, &*c.blobs, &|_| ()).unwrap();
+    let found = references::verify(c.store.queries(), &*c.blobs, &|_| ()).unwrap();
     assert_eq!(found.lost.len(), 1);
-    assert_eq!(references::repair(&*c.store, &*c.blobs, &found).unwrap(), 1);
+    let mut changes = JobChanges::begin(&c);
+    let no_commits = OutputRemoval::begin(&c);
+    let mut reopen = |job, tiles: &[TileIndex]| changes.invalidate_tiles(&no_commits, job, tiles);
+    let reopened = references::repair(&*c.blobs, &found, &mut reopen).unwrap();
+    assert_eq!(reopened, 1);
+    drop(no_commits);
+    changes.finish().run(&c);
     assert_eq!(
         c.store.tile(id, grant.lease.tile).unwrap().state,
         TileState::Open

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use sightline_store::StoreError;
 
+use crate::locks::Ranked;
 use crate::quota::{LimitExceeded, Quota, Usage, usage};
 use crate::state::Coordinator;
 use crate::uploads::chunks::MAX_CHUNKS;
@@ -29,7 +30,7 @@ fn is_bounded(quota: &Quota, owner: &str) -> bool {
 }
 
 /// The right to add to what an owner has, who has a bound: until it is recorded.
-pub(crate) fn turn_of<'a>(c: &'a Coordinator, owner: &str) -> Option<MutexGuard<'a, ()>> {
+pub(crate) fn turn_of<'a>(c: &'a Coordinator, owner: &str) -> Option<Ranked<MutexGuard<'a, ()>>> {
     is_bounded(&c.quotas.of(owner), owner).then(|| c.quota_turn())
 }
 
@@ -86,7 +87,7 @@ fn decide(
         match counted.get(owner).filter(|(at, _)| at.elapsed() < old) {
             Some((_, has)) => *has,
             None => {
-                let has = usage(&*c.store, owner)?;
+                let has = usage(c.store.queries(), owner)?;
                 counted.retain(|_, (at, _)| at.elapsed() < COUNTED_EVERY);
                 counted.insert(owner.to_owned(), (Instant::now(), has));
                 has

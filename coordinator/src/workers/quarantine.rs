@@ -6,7 +6,7 @@ use sightline_records::ids::worker_name;
 use sightline_scheduler::Event;
 use sightline_store::StoreError;
 
-use crate::dispatch::run::happened;
+use crate::records::JobChanges;
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 
@@ -24,11 +24,16 @@ pub(crate) fn release(c: &Arc<Coordinator>, worker: &str) -> Result<bool, StoreE
         .map(|record| record.worker);
     let mut any = false;
     for signature in quarantined.filter(|signature| is_meant(signature)) {
-        if c.store.release(&signature)? {
+        let mut changes = JobChanges::begin(c);
+        let was_quarantined = changes.release(&signature);
+        if let Ok(true) = was_quarantined {
+            changes.tell(Event::Released(signature.clone()));
+        }
+        changes.finish().run(c);
+        if was_quarantined? {
             let text = format!("worker {signature} may work again");
             tracing::warn!("{text}");
             c.happened(LogEvent::of(Kind::Worker, text).on(&signature));
-            happened(c, Event::Released(signature));
             any = true;
         }
     }

@@ -15,12 +15,8 @@ use super::identity::StoreIdentity;
 /// Is told how long a durable write took.
 pub type Report = Box<dyn Fn(Duration) + Send + Sync>;
 
-/// The coordinator's persistent state.
-///
-/// Every command is one transaction, durable when it returns `Ok`. A command that returns an error changed
-/// nothing, with one exception named at [`StoreError::Journal`]. Commands may be called from many threads;
-/// those in flight together share one disk sync.
-pub trait Store: Send + Sync {
+/// The queries of a store, which have no effect on it.
+pub trait Queries: Send + Sync {
     /// The scene with this digest, if it was recorded.
     fn scene(&self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError>;
 
@@ -54,11 +50,27 @@ pub trait Store: Send + Sync {
     /// one still leads. Changes nothing.
     fn may_change(&self) -> Result<(), StoreError>;
 
-    /// Returns the identity of the store. The first call draws one and records it.
-    fn identity(&self) -> Result<StoreIdentity, StoreError>;
-
     /// The epoch begun last; 0 before the first.
     fn epoch(&self) -> Result<u64, StoreError>;
+
+    /// Returns the workers that get no tiles, by name.
+    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError>;
+
+    /// Returns the last stamp of the clocks of retention, or `None` before the first.
+    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError>;
+
+    /// Returns all entries, ascending by key.
+    fn entries(&self) -> Result<Vec<Entry>, StoreError>;
+}
+
+/// The coordinator's persistent state.
+///
+/// Every command is one transaction, durable when it returns `Ok`. A command that returns an error changed
+/// nothing, with one exception named at [`StoreError::Journal`]. Commands may be called from many threads;
+/// those in flight together share one disk sync.
+pub trait Store: Queries {
+    /// Returns the identity of the store. The first call draws one and records it.
+    fn identity(&self) -> Result<StoreIdentity, StoreError>;
 
     /// Records a scene. The same record again is accepted; another record under the same digest is refused.
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError>;
@@ -168,26 +180,17 @@ pub trait Store: Send + Sync {
     /// its tiles open. Returns the number of opened tiles.
     fn invalidate_tiles(&self, job: JobId, tiles: &[TileIndex]) -> Result<u32, StoreError>;
 
-    /// The workers that get no tiles, by name.
-    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError>;
-
     /// Records that a worker gets no tiles any more; for one that gets none the first reason stays.
     fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError>;
 
     /// Records that a worker gets tiles again; returns whether it had none.
     fn release(&self, worker: &str) -> Result<bool, StoreError>;
 
-    /// Returns the last stamp of the clocks of retention, or `None` before the first.
-    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError>;
-
     /// Records a stamp of the clocks of retention, which replaces the previous one.
     fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError>;
 
     /// Removes a scene that no job names; returns its record, so that the caller can remove the blob.
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError>;
-
-    /// Everything, ascending by key.
-    fn entries(&self) -> Result<Vec<Entry>, StoreError>;
 
     /// Takes over entries of another store, a few hundred at a time. The `first` ones need a store without
     /// scenes and jobs.

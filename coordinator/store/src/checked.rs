@@ -100,6 +100,7 @@ fn foreign(at: &[u8], what: &str) -> StoreError {
 
 #[cfg(test)]
 mod tests {
+    use crate::api::Queries as _;
     use proptest::prelude::*;
     use serde_json::Value;
 

@@ -55,7 +55,7 @@ pub(super) fn replace(
 
 #[cfg(test)]
 mod tests {
-    use super::super::{SledStore, Store as _};
+    use super::super::{Queries as _, SledStore, Store as _};
     use super::*;
     use sightline_records::SceneRecord;
 

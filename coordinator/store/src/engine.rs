@@ -9,7 +9,7 @@ use sightline_records::{
     SceneRecord, Submitted, TileCheck, TileRecord, TileResult,
 };
 
-use super::api::{Report, Store};
+use super::api::{Queries, Report, Store};
 use super::entries::{self, Entry};
 use super::error::StoreError;
 use super::identity::StoreIdentity;
@@ -40,7 +40,7 @@ pub(super) trait Engine: Send + Sync {
     ) -> Result<A, StoreError>;
 }
 
-impl<E: Engine> Store for E {
+impl<E: Engine> Queries for E {
     fn scene(&self, digest: &Digest) -> Result<Option<SceneRecord>, StoreError> {
         self.query(|view| view.scene(digest))
     }
@@ -75,14 +75,6 @@ impl<E: Engine> Store for E {
     fn epoch(&self) -> Result<u64, StoreError> {
         self.query(|view| view.epoch())
     }
-
-    fn identity(&self) -> Result<StoreIdentity, StoreError> {
-        if let Some(known) = self.query(|view| view.identity())? {
-            return Ok(known);
-        }
-        let fresh = StoreIdentity::random()?;
-        self.command(move |view| upkeep::identify(view, fresh))
-    }
     fn may_change(&self) -> Result<(), StoreError> {
         self.writable()?;
         self.command(|_| {
@@ -91,6 +83,25 @@ impl<E: Engine> Store for E {
                 answer: (),
             })
         })
+    }
+    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError> {
+        self.query(|view| view.quarantined())
+    }
+    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError> {
+        self.query(|view| view.retention_stamp())
+    }
+    fn entries(&self) -> Result<Vec<Entry>, StoreError> {
+        self.query(entries::all)
+    }
+}
+
+impl<E: Engine> Store for E {
+    fn identity(&self) -> Result<StoreIdentity, StoreError> {
+        if let Some(known) = self.query(|view| view.identity())? {
+            return Ok(known);
+        }
+        let fresh = StoreIdentity::random()?;
+        self.command(move |view| upkeep::identify(view, fresh))
     }
     fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError> {
         self.command(|view| rules::record_scene(view, scene))
@@ -192,9 +203,6 @@ impl<E: Engine> Store for E {
         let tiles = tiles.to_vec();
         self.command(move |view| upkeep::invalidate_tiles(view, job, &tiles))
     }
-    fn quarantined(&self) -> Result<Vec<QuarantineRecord>, StoreError> {
-        self.query(|view| view.quarantined())
-    }
     fn quarantine(&self, record: QuarantineRecord) -> Result<(), StoreError> {
         self.command(move |view| upkeep::quarantine(view, record))
     }
@@ -202,17 +210,11 @@ impl<E: Engine> Store for E {
         let worker = worker.to_owned();
         self.command(move |view| upkeep::release(view, worker))
     }
-    fn retention_stamp(&self) -> Result<Option<RetentionStamp>, StoreError> {
-        self.query(|view| view.retention_stamp())
-    }
     fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError> {
         self.command(move |view| rules::stamp_retention(view, stamp))
     }
     fn delete_scene(&self, scene: Digest) -> Result<SceneRecord, StoreError> {
         self.command(move |view| upkeep::delete_scene(view, scene))
-    }
-    fn entries(&self) -> Result<Vec<Entry>, StoreError> {
-        self.query(entries::all)
     }
     fn import(&self, entries: Vec<Entry>, first: bool) -> Result<(), StoreError> {
         self.command(move |view| upkeep::import(view, entries, first))

@@ -48,7 +48,7 @@ pub mod failing;
 #[cfg(test)]
 mod power_failures;
 
-pub use api::Store;
+pub use api::{Queries, Store};
 pub use blobs::{
     Address, BlobError, BlobPlace, BlobReader, BlobWriter, Blobs, BucketPlace, Carried, Direct,
     FileBlobs, MemoryBlobs, ObjectBlobs, ObjectFolder, PlaceError, Staged, Stored, Ways,

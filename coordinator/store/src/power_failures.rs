@@ -11,11 +11,11 @@ use sightline_numbers::random::SplitMix64;
 use sightline_records::ids::{Digest, JobId, TileIndex};
 use sightline_records::{CommitOutcome, NewJob, SceneRecord, TileResult, TileState, TileStats};
 
-use super::Store as _;
 use super::blobs::{BlobError, Blobs as _};
 use super::disk::simulated::Counts;
 use super::error::{JournalError, StoreError};
 use super::failing::{FailingDisk, Loss};
+use super::{Queries as _, Store as _};
 
 const TILES: u32 = 6;
 

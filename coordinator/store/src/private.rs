@@ -14,14 +14,15 @@ pub(crate) fn create_private(directory: &Path) -> std::io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    #![cfg(unix)]
-
+    #[cfg(unix)]
     use std::os::unix::fs::PermissionsExt as _;
 
+    #[cfg(unix)]
     use super::super::{FileBlobs, OwnDirectory, SledStore};
     use super::*;
 
     #[test]
+    #[cfg(unix)]
     fn store_creates_directories_for_owner_only() {
         let folder = tempfile::tempdir().unwrap();
         let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;

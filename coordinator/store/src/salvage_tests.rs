@@ -12,7 +12,7 @@ use super::super::disk::{Access, read_up_to};
 use super::super::error::JournalError;
 use super::super::journal::Journal;
 use super::super::sled_store::SledStore;
-use super::super::{Store as _, engine::Engine};
+use super::super::{Queries as _, Store as _, engine::Engine};
 use super::*;
 
 const FOLDER: &str = "/data/state";

@@ -18,7 +18,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::api::{Report, Store as _};
+use super::api::{Queries as _, Report};
 use super::commands::{Pending, pending};
 use super::compaction;
 use super::disk::{self, Disk, SystemDisk};

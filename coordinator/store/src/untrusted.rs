@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use sightline_records::ids::{JobId, TileIndex};
 use sightline_records::{TileRecord, TileState};
 
-use crate::api::Store;
+use crate::api::Queries;
 use crate::error::StoreError;
 
 /// A selection of done tiles.
@@ -46,7 +46,7 @@ impl TileFilter {
 /// # Errors
 /// [`StoreError`] of the reads.
 pub fn untrusted_tiles(
-    store: &dyn Store,
+    store: &dyn Queries,
     workers: &[String],
     condemned: Option<(JobId, TileIndex)>,
 ) -> Result<BTreeMap<JobId, BTreeSet<TileIndex>>, StoreError> {
@@ -83,7 +83,10 @@ pub fn untrusted_tiles(
 
 /// Returns the last time at which each of these workers was right: it committed a tile that another worker
 /// has confirmed, or confirmed a tile itself.
-fn agreements(store: &dyn Store, workers: &[String]) -> Result<BTreeMap<String, u64>, StoreError> {
+fn agreements(
+    store: &dyn Queries,
+    workers: &[String],
+) -> Result<BTreeMap<String, u64>, StoreError> {
     let mut last: BTreeMap<String, u64> = BTreeMap::new();
     for job in store.jobs()? {
         for tile in store.tiles(job.id)? {

@@ -13,6 +13,7 @@ use sightline_tests::Postgres;
 use super::tests::{begin_job, leads};
 use super::*;
 use crate::Store;
+use crate::api::Queries as _;
 use crate::conformance::result;
 
 /// What becomes of a commit.

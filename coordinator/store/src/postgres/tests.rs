@@ -11,6 +11,7 @@ use sightline_tests::Postgres;
 
 use super::*;
 use crate::Store;
+use crate::api::Queries as _;
 use crate::conformance::{Model, Op, everything, op, perform, result, step};
 
 /// The address of a server's database.
