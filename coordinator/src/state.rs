@@ -321,8 +321,8 @@ impl Coordinator {
         locks::lock(Rank::Watchers, &self.watched)
     }
 
-    /// Returns the right to suspend jobs whose scene or receivers are missing, or to resume them. To be taken before
-    /// the lock of [`crate::records::JobChanges`].
+    /// Returns the right to suspend jobs whose scene or receivers are missing, or to resume them. To be taken
+    /// before the lock of [`crate::records::JobChanges`].
     pub(crate) fn lost_turn(&self) -> Ranked<MutexGuard<'_, ()>> {
         locks::lock(Rank::Suspension, &self.lost_turn)
     }

@@ -334,8 +334,8 @@ fn commit(
             drop(tell(c, Event::DiskFull(lease)));
         }
     };
-    // While this is held, no output is removed: a record may only name a blob that is present. No tile is reopened
-    // either; until now it may have been, with the tiles from which this one was computed.
+    // While this is held, no output is removed: a record may only name a blob that is present. No tile is
+    // reopened either; until now it may have been, with the tiles from which this one was computed.
     let (committing, admitted) = OutputCommit::begin(c, lease)?;
     let Admitted {
         helpers, counts, ..
