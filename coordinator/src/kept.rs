@@ -66,7 +66,7 @@ pub(crate) type NotReady = Vec<String>;
 pub(crate) type LastTrial = Option<(Instant, Result<(), NotReady>)>;
 
 /// The result that was asked about last.
-pub(crate) type Asked = Option<(Digest, Arc<Pvs>)>;
+pub(crate) type ReceiverSettings = Option<(Digest, Arc<Pvs>)>;
 
 /// The result of a part of a job that was made last, and of what.
 #[derive(Default)]

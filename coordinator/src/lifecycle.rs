@@ -130,10 +130,10 @@ impl Coordinator {
         blobs: Box<dyn Blobs>,
     ) -> Result<Arc<Self>, OpenError> {
         let outcomes = Outcomes::of(config.data_dir.join("crews"));
-        let chronicle = EventLog::of(config.data_dir.join("events"));
+        let event_log = EventLog::of(config.data_dir.join("events"));
         let kept = (
             outcomes,
-            chronicle,
+            event_log,
             Some((config.data_dir, config.quotas, config.retention)),
         );
         Self::start(config.leases, store, blobs, Box::new(SystemClock), kept)
@@ -164,7 +164,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        (outcomes, chronicle, config): (Outcomes, EventLog, Option<(PathBuf, Quotas, Retention)>),
+        (outcomes, event_log, config): (Outcomes, EventLog, Option<(PathBuf, Quotas, Retention)>),
     ) -> Result<Arc<Self>, OpenError> {
         let epoch = Epoch(store.begin_epoch()?);
         // An empty blob store receives the store's name before the first blob.
@@ -226,7 +226,7 @@ impl Coordinator {
         let trusted = store.quarantined()?.is_empty();
         outcomes.sweep(|job| trusted && jobs.iter().any(|j: &Job| j.record.id == job));
         let crews = Crews::new(outcomes);
-        let kept = (crews, chronicle);
+        let kept = (crews, event_log);
         let identity = store.identity()?;
         let mut this = Self::of(
             leases,

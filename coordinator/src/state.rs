@@ -20,7 +20,7 @@ use crate::access::Access;
 use crate::clock::{Clock, Moment};
 use crate::dispatch::outbox::{Scheduling, Watched};
 use crate::jobs::retention_clock::{Ages, FutureBlobs, RetentionClock};
-use crate::kept::{Asked, LastTrial, PartialCache, Retention, SceneQueries};
+use crate::kept::{LastTrial, PartialCache, ReceiverSettings, Retention, SceneQueries};
 use crate::locks::{self, Rank, Ranked};
 use crate::outputs::staging::Staging;
 use crate::quota::{Budget, Intake, Quotas, RateLimiter, Turns, Usage};
@@ -81,7 +81,7 @@ pub struct Coordinator {
     /// Crews, and the outcomes of the phases of unfinished tiles.
     pub(crate) crews: Crews,
     /// What happened.
-    pub(crate) chronicle: EventLog,
+    pub(crate) event_log: EventLog,
     /// The spans of jobs.
     pub(crate) spans: Arc<Spans>,
     /// The origin of the scheduler's time.
@@ -144,7 +144,7 @@ pub struct Coordinator {
     /// Who answers what needs the scene.
     pub(crate) answers: OnceLock<Box<dyn SceneQueries>>,
     /// The result that was asked about last.
-    pub(crate) last_asked: Mutex<Asked>,
+    pub(crate) last_asked: Mutex<ReceiverSettings>,
     /// The jobs that wait for a scene or receivers whose file is lost.
     pub(crate) lost: Mutex<BTreeMap<JobId, MissingBlob>>,
     /// Held while jobs are paused for want of these, or go on with them.
@@ -176,7 +176,7 @@ impl Coordinator {
         store: Box<dyn Store>,
         blobs: Box<dyn Blobs>,
         clock: Box<dyn Clock>,
-        (crews, chronicle): (Crews, EventLog),
+        (crews, event_log): (Crews, EventLog),
         scheduler: Scheduler,
     ) -> Self {
         let origin = clock.now().at;
@@ -187,7 +187,7 @@ impl Coordinator {
             blobs,
             clock,
             crews,
-            chronicle,
+            event_log,
             spans: Arc::default(),
             origin,
             scheduling: Mutex::new(Scheduling::new(scheduler)),
@@ -297,7 +297,7 @@ impl Coordinator {
 
     /// Notes that something happened, for people. Does not block.
     pub(crate) fn happened(&self, what: LogEvent) {
-        self.chronicle.record(self.clock.now().unix_ms, what);
+        self.event_log.record(self.clock.now().unix_ms, what);
     }
 
     /// The current time as the scheduler counts it.

@@ -4,7 +4,7 @@
 
 use sightline_ambient::{Falloff, Receiver, Solver};
 use sightline_model::openness::Openness;
-use sightline_model::receivers::{self, Asked, Receivers};
+use sightline_model::receivers::{self, ReceiverSettings, Receivers};
 use sightline_model::{Ambient, JobSpec};
 use sightline_proto::connecting::Connection;
 use sightline_proto::v1;
@@ -71,7 +71,7 @@ impl OrderedReceivers {
                 triangle,
             }
         };
-        let asked = Asked {
+        let requested = ReceiverSettings {
             distance: settings.distance,
             falloff: match settings.falloff {
                 Falloff::None => receivers::Falloff::None,
@@ -87,7 +87,7 @@ impl OrderedReceivers {
         let blocks = blocks.iter().map(|block| block.len() as u32).collect();
         Self {
             receivers: Receivers {
-                asked,
+                settings: requested,
                 blocks,
                 receivers,
             },
@@ -201,7 +201,7 @@ pub(crate) async fn submit(
         receivers: *blake3::hash(&bytes).as_bytes(),
         bytes: bytes.len() as u64,
         points: receivers.receivers.len() as u32,
-        lights: receivers.asked.lights.len() as u32,
+        lights: receivers.settings.lights.len() as u32,
     };
     let blob = Blob::new(bytes);
     let request = submission.request(&JobSpec::of_receivers(scene.digest().0, ambient));

@@ -6,8 +6,8 @@ use glam::Vec3;
 use serde_json::{Value, json};
 use sightline_certificate::{CertificateReader, Proof, Reason, Target};
 use sightline_exact::{
-    Cell, Cost, ExactScene, Found, Hides, Limits, Occluders, Places, Polygon, Sources, from_cell,
-    polygon,
+    Cell, Cost, ExactScene, ExactViewRegion, Found, Hides, Limits, Occluders, Polygon, Sources,
+    from_cell, polygon,
 };
 use sightline_portals::OpenFaces;
 use sightline_proto::v1;
@@ -197,20 +197,23 @@ pub fn explain_by_query(
         .map(Vec3::from);
     let within = Aabb { min, max };
     let region = region_of_result(result, scene)?;
-    let places = region.as_ref().map(|region| region as &dyn Places);
+    let places = region.as_ref().map(|region| region as &dyn ExactViewRegion);
     let faces = walls_of(result, scene).map(|scene| OpenFaces::new(scene, within, places));
-    let places = faces.as_ref().map(|faces| faces as &dyn Places).or(places);
+    let places = faces
+        .as_ref()
+        .map(|faces| faces as &dyn ExactViewRegion)
+        .or(places);
     // Many answers need no query, and preparing them takes a while.
     let (exact, surfaces) = (OnceCell::new(), OnceCell::new());
     for triangle in triangles.iter().copied() {
         let kind = scene.kinds().kind(triangle);
-        let of = scene.triangles()[triangle as usize];
-        let answer = match Polygon::triangle(of.v.map(|v| v.as_dvec3())) {
+        let shape = scene.triangles()[triangle as usize];
+        let answer = match Polygon::triangle(shape.v.map(|v| v.as_dvec3())) {
             _ if !kind.shows() => json!({"state": "hidden", "kind": kind.name(), "blockers": []}),
             None => json!({"state": "hidden", "degenerate": true, "blockers": []}),
             Some(_)
-                if overlap::triangle_touches_box(&of, &within)
-                    && places.is_none_or(|p| p.touch(of.v, within)) =>
+                if overlap::triangle_touches_box(&shape, &within)
+                    && places.is_none_or(|p| p.touch(shape.v, within)) =>
             {
                 json!({"state": "visible", "meets": true})
             }

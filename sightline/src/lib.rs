@@ -8,7 +8,8 @@
 //! | use a result | [`open`], and the methods of [`Pvs`] |
 //! | check a result | [`measure()`], [`verify()`], [`explain()`] |
 //!
-//! Functions block. An [`Observer`] receives their progress and notes, and can cancel them. Every [`Error`]
+//! Functions block; in an async runtime, call them on a blocking thread. An [`Observer`] receives their
+//! progress and notes, and can cancel them. Every [`Error`]
 //! has a kind, and the option at fault if there is one. The command `sightline` calls the functions of this
 //! crate, and so does the Python package.
 //!

@@ -13,7 +13,7 @@ use sightline_pvs::PvsError;
 use sightline_scene::Scene;
 use sightline_tetra::look::{Hierarchy, Looker};
 use sightline_tetra::surfaces::Surfaces;
-use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 use sightline_viewpoints::points::Weighted;
 
@@ -135,7 +135,7 @@ pub fn measure(
     // Before the first use of the thread pool.
     use_threads(threads(None))?;
     // Errors that do not need the scene are found before it is read.
-    let places = Places::read(result, options)?;
+    let places = ExactViewRegion::read(result, options)?;
     if !(8..=4096).contains(&options.resolution) {
         return Err(Error::usage(format!(
             "--resolution {} is not between 8 and 4096",
@@ -169,11 +169,11 @@ pub fn measure_in(
     options: &MeasureOptions,
     observer: &dyn Observer,
 ) -> Result<MeasureReport, Error> {
-    measure_at(Places::Random, result, scene, options, observer)
+    measure_at(ExactViewRegion::Random, result, scene, options, observer)
 }
 
 /// The viewpoints of a measurement.
-enum Places {
+enum ExactViewRegion {
     /// Random viewpoints in the cells.
     Random,
     /// A camera path.
@@ -182,7 +182,7 @@ enum Places {
     File(PathBuf, Vec<Weighted>),
 }
 
-impl Places {
+impl ExactViewRegion {
     /// Reads the files of the options.
     fn read(result: NamedResult<'_>, options: &MeasureOptions) -> Result<Self, Error> {
         if let Some(path) = &options.path {
@@ -208,7 +208,7 @@ impl Places {
 
 /// Measures a result at viewpoints.
 fn measure_at(
-    places: Places,
+    places: ExactViewRegion,
     result: NamedResult<'_>,
     scene: Arc<Scene>,
     options: &MeasureOptions,
@@ -224,15 +224,17 @@ fn measure_at(
     };
     let (count, seed) = (options.viewpoints, options.seed);
     let views = match &places {
-        Places::Path(views) => views.clone(),
-        Places::File(file, all) => select(result, options, (file, all), &is_place, observer)?,
-        Places::Random
+        ExactViewRegion::Path(views) => views.clone(),
+        ExactViewRegion::File(file, all) => {
+            select(result, options, (file, all), &is_place, observer)?
+        }
+        ExactViewRegion::Random
             if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) =>
         {
             Viewpoints::random(count, seed, view_box)
         }
         // Viewpoints are only in some of the cells, or in a region.
-        Places::Random => Viewpoints::random_where(count, seed, view_box, is_place),
+        ExactViewRegion::Random => Viewpoints::random_where(count, seed, view_box, is_place),
     };
     // The frames of a result whose lines end at a distance end there, too.
     let info = result.info();
@@ -271,7 +273,7 @@ fn measure_at(
     let cell_to_cell = match options.pairs {
         0 => None,
         count => {
-            let sight = Sight::new(&*backend, prepared.traced())
+            let sight = SightLineTracer::new(&*backend, prepared.traced())
                 .map_err(Error::internal)?
                 .up_to(far);
             let found = measure_pairs(&sight, pvs, count, seed, step, &is_place);

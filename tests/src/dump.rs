@@ -38,12 +38,12 @@ impl Dump {
         assert_eq!(header["format"], "sightline.pvs");
         assert_eq!(header["version"], 1);
         assert!(header["method"].is_string(), "{header}");
-        let of = if header["items"] == "objects" {
+        let items = if header["items"] == "objects" {
             "objects"
         } else {
             "triangles"
         };
-        let (all, expected) = (count(&header, of), count(&header, "cells"));
+        let (all, expected) = (count(&header, items), count(&header, "cells"));
         let [low, high] = ["min", "max"].map(|corner| point(&header["view_box"][corner]));
         let cells: Vec<Cell> = lines
             .enumerate()

@@ -412,7 +412,7 @@ fn a_digest_alone_opens_no_scene() {
         .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).unwrap())
         .collect();
     let runtime = tokio::runtime::Runtime::new().unwrap();
-    let of = |user: &str| {
+    let client_of = |user: &str| {
         let token = String::from_utf8(sandbox.read(&format!("{user}.token"))).unwrap();
         let credentials = Credentials {
             ca: Some(sandbox.read("farm.pem")),
@@ -422,7 +422,7 @@ fn a_digest_alone_opens_no_scene() {
         let endpoint = credentials.endpoint(&coordinator.url).unwrap();
         JobsClient::new(credentials.over(runtime.block_on(endpoint.connect()).unwrap()))
     };
-    let (mut ada, mut bob) = (of("ada"), of("bob"));
+    let (mut ada, mut bob) = (client_of("ada"), client_of("bob"));
     let spec = v1::JobSpec {
         scene: scene.clone(),
         ..v1::JobSpec::default()
@@ -573,7 +573,7 @@ fn calls_as_json_need_tokens_too() {
         .trim_start_matches("http://")
         .trim_end_matches('/')
         .to_owned();
-    let of = |user: &str| {
+    let token_of = |user: &str| {
         String::from_utf8(sandbox.read(&format!("{user}.token")))
             .unwrap()
             .trim()
@@ -582,7 +582,7 @@ fn calls_as_json_need_tokens_too() {
     let json = "content-type: application/json\r\n";
     let list = "POST /sightline.v1.Jobs/List";
     assert_eq!(ask(&pages, list, json, "{}").0, 401);
-    let with = |user: &str| format!("{json}authorization: Bearer {}\r\n", of(user));
+    let with = |user: &str| format!("{json}authorization: Bearer {}\r\n", token_of(user));
     assert_eq!(ask(&pages, list, &with("eve"), "{}").0, 200);
     assert_eq!(
         ask(
@@ -639,7 +639,7 @@ fn browser_session_ends_at_logout_and_with_its_token() {
         .trim_end_matches('/')
         .to_owned();
     let port = pages.rsplit(':').next().unwrap();
-    let of = |user: &str| {
+    let token_of = |user: &str| {
         String::from_utf8(sandbox.read(&format!("{user}.token")))
             .unwrap()
             .trim()
@@ -647,13 +647,13 @@ fn browser_session_ends_at_logout_and_with_its_token() {
     };
     let form = "content-type: application/x-www-form-urlencoded\r\n";
     let sent = |token: &str| ask_with_head(&pages, "POST /login", form, format!("token={token}"));
-    assert_eq!(sent(&of("ada")).0, 403);
+    assert_eq!(sent(&token_of("ada")).0, 403);
     assert_eq!(sent("slt_1_2").0, 401);
     // A form longer than a token is not read.
     assert_eq!(sent(&"x".repeat(5000)).0, 413);
     // A login sets a cookie without the token, which stays with this port and this site.
     let login = || {
-        let (code, head, _) = sent(&of("root"));
+        let (code, head, _) = sent(&token_of("root"));
         assert_eq!(code, 303);
         let set = head
             .lines()
@@ -661,7 +661,7 @@ fn browser_session_ends_at_logout_and_with_its_token() {
             .unwrap()
             .to_owned();
         assert!(
-            !set.contains(of("root").rsplit('_').next().unwrap()),
+            !set.contains(token_of("root").rsplit('_').next().unwrap()),
             "{set}"
         );
         let (id, flags) = set.split_once("; ").unwrap();
@@ -697,7 +697,7 @@ fn browser_session_ends_at_logout_and_with_its_token() {
         200
     );
     // Neither the token in a cookie nor another id opens a page.
-    let raw = format!("cookie: sightline-session-{port}={}\r\n", of("root"));
+    let raw = format!("cookie: sightline-session-{port}={}\r\n", token_of("root"));
     assert_eq!(ask(&pages, "GET /", &raw, "").0, 401);
     assert_eq!(
         ask(&pages, "GET /", &first.replace("session-", "session-1"), "").0,

@@ -55,24 +55,24 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
             );
         }
     }
-    let of = |sampler: &str| {
+    let rows_of = |sampler: &str| {
         rows.iter()
             .filter(|r| r["sampler"] == sampler)
             .collect::<Vec<_>>()
     };
 
-    let [lines] = of("lines")[..] else {
+    let [lines] = rows_of("lines")[..] else {
         panic!("{csv}")
     };
     assert_eq!((lines["cells"], lines["greatest_bound"]), ("16", ""));
-    let [bounded] = of("max-error")[..] else {
+    let [bounded] = rows_of("max-error")[..] else {
         panic!("{csv}")
     };
     assert_eq!(bounded["parameter"], "--max-error 0.03");
     assert!(number(bounded, "greatest_bound") <= 0.03, "{bounded:?}");
 
     // Sixteen cells of a maze are decided before the least time budget ends.
-    let verified = of("verified");
+    let verified = rows_of("verified");
     assert_eq!(
         number(verified.last().unwrap(), "undecided_share"),
         0.0,
@@ -86,10 +86,10 @@ fn a_tiny_run_writes_its_points_with_repeats_cpu_time_and_all_kinds_of_curves() 
     );
 
     // A block has no more layers than the grid.
-    let cells: Vec<_> = of("exact").iter().map(|r| r["cells"]).collect();
+    let cells: Vec<_> = rows_of("exact").iter().map(|r| r["cells"]).collect();
     assert_eq!(cells, ["1", "4"]);
     assert!(
-        of("exact")
+        rows_of("exact")
             .iter()
             .all(|r| number(r, "undecided_share") == 0.0)
     );

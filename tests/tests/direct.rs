@@ -85,7 +85,7 @@ fn of(coordinator: &Coordinator<'_>, begin: &str) -> u64 {
 
 /// A metric of workers.
 fn of_workers(workers: &[Background], begin: &str) -> u64 {
-    let of = |worker: &Background| {
+    let metric_of = |worker: &Background| {
         let out = worker.out();
         let url = out
             .lines()
@@ -93,7 +93,7 @@ fn of_workers(workers: &[Background], begin: &str) -> u64 {
             .unwrap();
         sum(&text_at(url), begin)
     };
-    workers.iter().map(of).sum()
+    workers.iter().map(metric_of).sum()
 }
 
 /// Follows the job to its end; then its bytes are those of one process, and no log has a secret.

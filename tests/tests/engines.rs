@@ -339,8 +339,8 @@ fn the_unity_component_culls_in_a_stub_of_unity() {
     let out = run("level.pvs");
     let mut lines = out.lines();
     for (number, cell) in cells.iter().enumerate() {
-        let (of, shown) = lines.next().unwrap().split_once(':').unwrap();
-        assert_eq!(of, number.to_string());
+        let (shown_cell, shown) = lines.next().unwrap().split_once(':').unwrap();
+        assert_eq!(shown_cell, number.to_string());
         assert_eq!(shown, expected(&names, &nodes, cells, cell).join(","));
         assert!(shown.split(',').count() < names.len());
     }

@@ -22,9 +22,9 @@ fn every_form_has_the_same_objects_as_dump() {
         sandbox.ok(&format!("export rooms.pvs --format {form} -o {form}.json"));
         let found: Value = serde_json::from_slice(&sandbox.read(&format!("{form}.json"))).unwrap();
         assert_eq!(found["format"], format!("sightline.{form}"));
-        let of = found["cells"].as_array().unwrap();
-        assert_eq!(of.len(), cells.len());
-        for (found, cell) in of.iter().zip(&cells) {
+        let exported_cells = found["cells"].as_array().unwrap();
+        assert_eq!(exported_cells.len(), cells.len());
+        for (found, cell) in exported_cells.iter().zip(&cells) {
             assert_eq!(found["objects"], cell["visible"]);
             assert_eq!((&found["min"], &found["max"]), (&cell["min"], &cell["max"]));
         }
@@ -216,8 +216,8 @@ fn cells(extension: &Value, json: &Value, data: &[u8]) -> Vec<(Vec<f32>, Vec<u32
     }
     let view = |key: &str| {
         let view = &json["bufferViews"][packed[key].as_u64().unwrap() as usize];
-        let of = |key: &str| view[key].as_u64().unwrap() as usize;
-        &data[of("byteOffset")..][..of("byteLength")]
+        let field = |key: &str| view[key].as_u64().unwrap() as usize;
+        &data[field("byteOffset")..][..field("byteLength")]
     };
     let word = |b: &[u8]| u32::from_le_bytes(b.try_into().unwrap());
     let boxes: Vec<f32> = view("boxes")

@@ -89,8 +89,11 @@ fn workers_tiles_and_events_tell_what_happened() {
     assert!(coordinator.ok("workers").starts_with("ann ("));
 
     let events = lines(&coordinator, &format!("logs {job}"));
-    let of = |kind: &str| events.iter().filter(|e| e["kind"] == kind).count();
-    assert_eq!((of("submitted"), of("leased"), of("done")), (1, 64, 64));
+    let count_of = |kind: &str| events.iter().filter(|e| e["kind"] == kind).count();
+    assert_eq!(
+        (count_of("submitted"), count_of("leased"), count_of("done")),
+        (1, 64, 64)
+    );
     assert!(events.iter().all(|e| number(&e["job"]) == job));
     let numbers: Vec<u64> = events.iter().map(|e| number(&e["number"])).collect();
     assert!(numbers.is_sorted() && events.is_sorted_by_key(|e| number(&e["at_ms"])));

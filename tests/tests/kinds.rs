@@ -291,14 +291,16 @@ fn hidden_node_neither_shows_nor_blocks_in_any_method() {
     };
     let (plain, _) = bake("town.glb", "plain", "--method exact");
     let info = sandbox.json("info plain.pvs");
-    let of = |o: &Value| {
+    let triangles_of = |o: &Value| {
         o["first"].as_u64().unwrap()..o["first"].as_u64().unwrap() + o["count"].as_u64().unwrap()
     };
     let objects = info["objects"].as_array().unwrap();
-    let ids = of(objects
-        .iter()
-        .find(|o| o["name"].as_str().unwrap().starts_with("house 0/"))
-        .unwrap());
+    let ids = triangles_of(
+        objects
+            .iter()
+            .find(|o| o["name"].as_str().unwrap().starts_with("house 0/"))
+            .unwrap(),
+    );
     assert!(
         shown(&plain)
             .iter()

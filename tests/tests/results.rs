@@ -93,7 +93,7 @@ fn objects_are_those_of_the_visible_triangles() {
     });
     let triangles = sandbox.dump("maze.pvs");
     assert_eq!(end, triangles.header["triangles"]);
-    let of = |id: &u64| {
+    let object_of = |id: &u64| {
         objects.partition_point(|o| number(o, "first") + number(o, "count") <= *id) as u64
     };
     let by_object = Dump::parse(&sandbox.ok("dump maze.pvs --items objects"));
@@ -101,7 +101,7 @@ fn objects_are_those_of_the_visible_triangles() {
     for (a, b) in triangles.cells.iter().zip(&by_object.cells) {
         assert_eq!((a.min, a.max), (b.min, b.max));
         assert_eq!(
-            a.visible.iter().map(of).collect::<BTreeSet<_>>(),
+            a.visible.iter().map(object_of).collect::<BTreeSet<_>>(),
             b.visible.iter().copied().collect()
         );
         let [x, y, z] = b.middle();
@@ -117,7 +117,7 @@ fn object_with_witness_is_visible() {
     sandbox.ok("generate rooms --triangles 300 -o rooms.glb");
     sandbox.ok("bake rooms.glb --cells 2x1x2 --method portals --data-dir data -o rooms.pvs");
     let objects = sandbox.json("info rooms.pvs")["objects"].clone();
-    let of = |triangle: u64| {
+    let object_of = |triangle: u64| {
         let holds = |o: &Value| {
             let first = o["first"].as_u64().unwrap();
             (first..first + o["count"].as_u64().unwrap()).contains(&triangle)
@@ -132,13 +132,13 @@ fn object_with_witness_is_visible() {
         .iter()
         .zip(&by_objects.cells)
     {
-        let drawn: BTreeSet<u64> = cell.visible.iter().map(|id| of(*id)).collect();
+        let drawn: BTreeSet<u64> = cell.visible.iter().map(|id| object_of(*id)).collect();
         let known = cell
             .visible
             .iter()
             .filter(|id| !cell.undecided.contains(id));
-        let seen: BTreeSet<u64> = known.map(|id| of(*id)).collect();
-        let open: BTreeSet<u64> = cell.undecided.iter().map(|id| of(*id)).collect();
+        let seen: BTreeSet<u64> = known.map(|id| object_of(*id)).collect();
+        let open: BTreeSet<u64> = cell.undecided.iter().map(|id| object_of(*id)).collect();
         mixed += open.intersection(&seen).count();
         let undecided: Vec<u64> = open.difference(&seen).copied().collect();
         assert_eq!(listed.visible, drawn.into_iter().collect::<Vec<_>>());

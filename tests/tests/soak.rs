@@ -218,7 +218,7 @@ struct Use {
 
 fn used(process: u32) -> Use {
     let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let of = |key: &str| -> u64 {
+    let value_of = |key: &str| -> u64 {
         let line = status
             .lines()
             .find_map(|line| line.strip_prefix(key))
@@ -229,9 +229,9 @@ fn used(process: u32) -> Use {
         .unwrap()
         .count() as u64;
     Use {
-        kilobytes: of("VmRSS:"),
+        kilobytes: value_of("VmRSS:"),
         files,
-        threads: of("Threads:"),
+        threads: value_of("Threads:"),
     }
 }
 
@@ -334,10 +334,10 @@ fn memory_and_files_stay_as_they_are_under_load() {
     );
     drop(runtime);
 
-    let count = |of: &AtomicU64| of.load(Ordering::Relaxed);
+    let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
     let early = &uses[uses.len() / 4..uses.len() / 2];
     let late = &uses[uses.len() * 3 / 4..];
-    let of = |some: &[Use]| {
+    let medians = |some: &[Use]| {
         (
             median(some, |u| u.kilobytes),
             median(some, |u| u.files),
@@ -353,14 +353,14 @@ fn memory_and_files_stay_as_they_are_under_load() {
         count(&work.done),
         count(&work.bytes) / 1_000_000,
         count(&seen.fetched) / 1_000_000,
-        of(early),
-        of(late),
+        medians(early),
+        medians(late),
     );
     assert!(
         count(&seen.done) > 5 && count(&seen.cancelled) > 0,
         "nothing happened"
     );
-    let (before, after) = (of(early), of(late));
+    let (before, after) = (medians(early), medians(late));
     // The store's cache (64 MB), the last events (8 MB) and what the allocator keeps back grow to their
     // bounds, the faster the more outputs come; a leak of the hour-long run is far more.
     assert!(
@@ -377,7 +377,7 @@ fn memory_and_files_stay_as_they_are_under_load() {
     );
     // Threads that block come with load, in bursts, and stay for ten seconds after it. Quarters that are long
     // beside that are alike, and what is left after the load was leaked.
-    let warm = of(&uses[uses.len() / 2..uses.len() * 3 / 4]);
+    let warm = medians(&uses[uses.len() / 2..uses.len() * 3 / 4]);
     let is_long = seconds >= 120;
     assert!(
         !is_long || after.2 < warm.2 + 8,

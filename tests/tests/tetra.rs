@@ -165,7 +165,7 @@ fn both_engines_see_the_same_and_parts_add_up() {
     let less = look("--mode aggressive --angle 1 --areas");
     let more = look("--mode conservative --angle 1 --areas");
     for ((less, exact), more) in less.iter().zip(&exact).zip(&more) {
-        let of = |a: &Value| -> Vec<u64> {
+        let visible_ids = |a: &Value| -> Vec<u64> {
             a["visible"]
                 .as_array()
                 .unwrap()
@@ -173,7 +173,7 @@ fn both_engines_see_the_same_and_parts_add_up() {
                 .map(|id| id.as_u64().unwrap())
                 .collect()
         };
-        let (less, exact, more) = (of(less), of(exact), of(more));
+        let (less, exact, more) = (visible_ids(less), visible_ids(exact), visible_ids(more));
         assert!(
             less.iter().all(|id| exact.contains(id)) && exact.iter().all(|id| more.contains(id))
         );

@@ -17,12 +17,12 @@ const SAMPLED: u32 = 1;
 /// The process that sends.
 pub(crate) fn resource(service: &str, instance: &str) -> Resource {
     let version = env!("CARGO_PKG_VERSION");
-    let of = [
+    let pairs = [
         ("service.name", service),
         ("service.version", version),
         ("service.instance.id", instance),
     ];
-    let attributes = of
+    let attributes = pairs
         .map(|(name, value)| attribute(name, Value::Name(value.to_owned())))
         .into();
     Resource {

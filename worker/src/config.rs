@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use sightline_model::receivers::Receivers;
 use sightline_proto::connecting::Credentials;
 use sightline_traces::Traces;
 
 use crate::backends::Backends;
-use crate::counters::Pulse;
-use crate::receivers::ReceiverCache;
+use crate::counters::WorkerCounters;
+use crate::shared_cache::SharedCache;
 use crate::traced_scenes::SceneCache;
 
 /// The configuration of a worker.
@@ -24,8 +25,9 @@ pub struct Config {
     pub backends: Arc<Backends>,
     /// Cache of scenes and their hierarchies, shared by the workers of one process.
     pub scenes: Arc<SceneCache>,
-    /// Cache of the receivers of ambient occlusion, shared like the scenes.
-    pub receivers: Arc<ReceiverCache>,
+    /// Cache of the receivers of ambient occlusion, by their digest and the number of their scene's
+    /// triangles, shared like the scenes.
+    pub receivers: Arc<SharedCache<([u8; 32], u32), Receivers>>,
     /// Whether it helps other workers' tiles while it has none of its own: not where those workers share its
     /// threads.
     pub helps: bool,
@@ -34,7 +36,7 @@ pub struct Config {
     /// How long to retry when the coordinator cannot be reached; `None` for no limit.
     pub give_up_after: Option<Duration>,
     /// What it tells of itself.
-    pub pulse: Arc<Pulse>,
+    pub counters: Arc<WorkerCounters>,
     /// Where spans of its tiles go, if their coordinator sends traces, too.
     pub traces: Traces,
 }

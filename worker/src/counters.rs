@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Changed by the worker, read by anybody.
 #[derive(Debug, Default)]
-pub struct Pulse {
+pub struct WorkerCounters {
     connected: AtomicBool,
     done: AtomicU64,
     cancelled: AtomicU64,
@@ -52,7 +52,7 @@ pub(crate) enum Ended {
     Failed,
 }
 
-impl Pulse {
+impl WorkerCounters {
     /// Whether the coordinator has welcomed the worker and the stream goes on.
     pub fn is_connected(&self) -> bool {
         self.connected.load(Ordering::Relaxed)

@@ -70,7 +70,8 @@ impl TileRunner {
                 .await
                 .map_err(|e| e.describe(Kind::Scene))
         };
-        self.config.scenes.get(digest, fetch).await
+        let decode = |bytes: Vec<u8>| TracedScene::decode(&bytes);
+        self.config.scenes.get(digest, fetch, decode).await
     }
 
     /// A pack; `None` when the coordinator has lost it or its bytes are damaged.
@@ -100,22 +101,25 @@ impl TileRunner {
     ) -> Result<Arc<Receivers>, String> {
         let kind = Kind::Receivers;
         let fetch = async { self.fetch(kind, digest).await.map_err(|e| e.describe(kind)) };
-        self.config.receivers.get(digest, triangles, fetch).await
+        let decode =
+            move |bytes: Vec<u8>| Receivers::decode(&bytes, triangles).map_err(|e| e.to_string());
+        let key = (digest, triangles);
+        self.config.receivers.get(key, fetch, decode).await
     }
 
     /// A blob whose digest is checked.
     async fn fetch(&self, kind: Kind, digest: [u8; 32]) -> Result<Vec<u8>, Unfetched> {
         let client = self.direct.client();
         let (first, stream) = self.ask(kind, digest, client.is_some(), false).await?;
-        let pulse = &self.config.pulse;
+        let counters = &self.config.counters;
         let Some((client, address)) = client.zip(first.address.as_ref()) else {
             let bytes = assemble(first, stream, digest).await?;
-            pulse.moved(Direction::In, Way::Coordinator, bytes.len());
+            counters.moved(Direction::In, Way::Coordinator, bytes.len());
             return Ok(bytes);
         };
         let miss = match self.read(kind, digest, &client, &first).await {
             Ok(bytes) => {
-                pulse.moved(Direction::In, Way::Direct, bytes.len());
+                counters.moved(Direction::In, Way::Direct, bytes.len());
                 return Ok(bytes);
             }
             Err(miss) => miss,
@@ -127,7 +131,7 @@ impl TileRunner {
         );
         let (first, stream) = self.ask(kind, digest, false, true).await?;
         let bytes = assemble(first, stream, digest).await?;
-        pulse.moved(Direction::In, Way::Fallback, bytes.len());
+        counters.moved(Direction::In, Way::Fallback, bytes.len());
         Ok(bytes)
     }
 

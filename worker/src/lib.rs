@@ -8,7 +8,7 @@
 //!
 //! use sightline_proto::connecting::Credentials;
 //! use sightline_trace::gpu::AdapterChoice;
-//! use sightline_worker::{Backends, Config, ReceiverCache, SceneCache, Stop, TracerSelection};
+//! use sightline_worker::{Backends, Config, SceneCache, Stop, TracerSelection};
 //!
 //! # async fn example() -> Result<(), sightline_worker::WorkerError> {
 //! let config = Config {
@@ -17,11 +17,11 @@
 //!     name: "worker 1".to_owned(),
 //!     backends: Arc::new(Backends::probe(TracerSelection::Auto, AdapterChoice::default())),
 //!     scenes: Arc::new(SceneCache::default()),
-//!     receivers: Arc::new(ReceiverCache::default()),
+//!     receivers: Arc::default(),
 //!     helps: true,
 //!     direct: true,
 //!     give_up_after: None,
-//!     pulse: Arc::default(),
+//!     counters: Arc::default(),
 //!     traces: Default::default(),
 //! };
 //! let (stop, stopped) = tokio::sync::watch::channel(Stop::No);
@@ -41,8 +41,8 @@ mod fetch;
 mod leased_tile;
 mod packs;
 mod planned;
-mod receivers;
 mod session;
+mod shared_cache;
 mod spans;
 mod status;
 mod tile_runner;
@@ -53,8 +53,8 @@ use tokio::sync::watch;
 
 pub use backends::{Backends, TracerSelection};
 pub use config::{Config, Stop, WorkerError};
-pub use counters::{Moved, Pulse};
-pub use receivers::ReceiverCache;
+pub use counters::{Moved, WorkerCounters};
+pub use shared_cache::SharedCache;
 pub use tile_runner::time_profiles;
 pub use traced_scenes::{SceneCache, TracedScene};
 

@@ -1,4 +1,6 @@
 //! Cache of packs from the coordinator, kept compressed.
+//!
+//! The crate `lru` limits a number of values, and this cache the sum of their bytes.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};

@@ -118,7 +118,7 @@ impl Worker {
         loop {
             let connected = Instant::now();
             let end = self.connection(&mut stop).await;
-            self.shop.config.pulse.connected(false);
+            self.shop.config.counters.connected(false);
             let reason = match end? {
                 End::Stopped => return Ok(()),
                 End::Broken(reason) => {
@@ -322,7 +322,7 @@ impl Worker {
     fn heard(&mut self, message: FromCoordinator, draining: bool) -> Option<ToCoordinator> {
         match message {
             FromCoordinator::Welcome(w) => {
-                self.shop.config.pulse.connected(true);
+                self.shop.config.counters.connected(true);
                 self.unsaid.clear();
                 self.shop.direct.welcome(w.direct);
                 self.identity = w.identity;
@@ -441,7 +441,7 @@ impl Worker {
                 infrastructure,
             })
         };
-        self.shop.config.pulse.ended(match &result {
+        self.shop.config.counters.ended(match &result {
             Ok(()) => Ended::Done,
             Err(Failure::Cancelled) => Ended::Cancelled,
             Err(Failure::Infrastructure(_) | Failure::Tile(_)) => Ended::Failed,

@@ -43,7 +43,7 @@ impl Steps {
     pub fn of(config: &Config, lease: v1::Lease, trace: &[u8]) -> Self {
         let traces = config.traces.clone();
         let trace = TraceId::of_bytes(trace).filter(|_| traces.is_on());
-        let of = trace.map(|trace| {
+        let context = trace.map(|trace| {
             let (whole, worker) = (traces.fresh_id(), config.name.clone());
             Of {
                 trace,
@@ -52,7 +52,10 @@ impl Steps {
                 worker,
             }
         });
-        Self { traces, of }
+        Self {
+            traces,
+            of: context,
+        }
     }
 
     /// Sends a span, if any are sent.

@@ -5,13 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use sightline_bake::BakeScene;
 use sightline_scene::{Scene, SceneError};
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_trace::{Backend, CubeSpec, Strata};
 
 use crate::backends::Backends;
-
-/// Most scenes kept: the current one and the next one.
-const KEPT: usize = 2;
+use crate::shared_cache::SharedCache;
 
 /// A scene with the backends opened for it.
 pub struct TracedScene {
@@ -32,6 +30,15 @@ impl TracedScene {
         })
     }
 
+    /// Decodes a scene, and prepares it for tiles.
+    ///
+    /// # Errors
+    /// A message when the bytes are not a scene, or the scene has too many triangles to sample.
+    pub(crate) fn decode(bytes: &[u8]) -> Result<Self, String> {
+        let scene = Scene::from_blob("scene that was fetched", bytes).map_err(|e| e.to_string())?;
+        Self::new(Arc::new(scene)).map_err(|e| e.to_string())
+    }
+
     /// Builds the hierarchy for sight lines on the cpu backend, if this machine has one, so that the first
     /// tile does not wait for it. Errors are ignored here: the tile that needs the hierarchy tries again and
     /// reports them.
@@ -47,7 +54,7 @@ impl TracedScene {
         let traced = self.scene.sampling().traced();
         std::thread::scope(|scope| {
             scope.spawn(|| self.scene.sampling().for_lines());
-            if let Err(e) = Sight::new(&*backend, traced) {
+            if let Err(e) = SightLineTracer::new(&*backend, traced) {
                 tracing::debug!("not made ready: {e}");
             }
         });
@@ -98,50 +105,4 @@ impl TracedScene {
 }
 
 /// The scenes of one process, by digest.
-#[derive(Default)]
-pub struct SceneCache {
-    // The most recently used scene is last.
-    scenes: tokio::sync::Mutex<Vec<([u8; 32], Arc<TracedScene>)>>,
-}
-
-impl SceneCache {
-    /// A cache that holds one scene.
-    pub fn holding(digest: [u8; 32], loaded: Arc<TracedScene>) -> Self {
-        Self {
-            scenes: tokio::sync::Mutex::new(vec![(digest, loaded)]),
-        }
-    }
-
-    /// The scene with `digest`; `fetch` is called when it is not in the cache, and checks the digest of what
-    /// it gives. Simultaneous calls for a scene fetch it once.
-    ///
-    /// # Errors
-    /// The error of `fetch`, or a message when the bytes are no scene.
-    pub async fn get<F>(&self, digest: [u8; 32], fetch: F) -> Result<Arc<TracedScene>, String>
-    where
-        F: Future<Output = Result<Vec<u8>, String>>,
-    {
-        let mut scenes = self.scenes.lock().await;
-        if let Some(at) = scenes.iter().position(|(d, _)| *d == digest) {
-            let found = scenes.remove(at);
-            let loaded = Arc::clone(&found.1);
-            scenes.push(found);
-            return Ok(loaded);
-        }
-        let bytes = fetch.await?;
-        let loaded = tokio::task::spawn_blocking(move || {
-            let scene =
-                Scene::from_blob("scene that was fetched", &bytes).map_err(|e| e.to_string())?;
-            drop(bytes);
-            let loaded = TracedScene::new(Arc::new(scene)).map_err(|e| e.to_string())?;
-            Ok::<_, String>(Arc::new(loaded))
-        })
-        .await
-        .map_err(|e| format!("the scene could not be analysed: {e}"))??;
-        if scenes.len() == KEPT {
-            scenes.remove(0);
-        }
-        scenes.push((digest, Arc::clone(&loaded)));
-        Ok(loaded)
-    }
-}
+pub type SceneCache = SharedCache<[u8; 32], TracedScene>;

@@ -65,7 +65,7 @@ impl TileRunner {
             let parts = tokio_stream::iter(std::iter::once(first).chain(chunks));
             match self.client.clone().put_result(parts).await {
                 Ok(_) => {
-                    self.config.pulse.moved(Direction::Out, way, bytes.len());
+                    self.config.counters.moved(Direction::Out, way, bytes.len());
                     return Ok(());
                 }
                 Err(s) => match s.code() {

@@ -192,16 +192,16 @@ fn measured(args: &Args, scene: &Arc<Scene>, tets: &Tets) -> Result<(), AnyError
                     );
                 }
             }
-            let of = |sum: f64| sum / points.len() as f64;
+            let per_point = |sum: f64| sum / points.len() as f64;
             println!(
                 "| {name} | {by} | {:.1} | {:.2} | {:.0} | {:.1} | {:.0} | {:.0} | {:.1e} |",
-                of(seconds) * 1e3,
-                of(seconds) / buffers,
-                of(seen as f64),
+                per_point(seconds) * 1e3,
+                per_point(seconds) / buffers,
+                per_point(seen as f64),
                 seconds * 1e6 / seen.max(1) as f64,
-                of(cells as f64),
-                of(beams as f64),
-                of(dropped)
+                per_point(cells as f64),
+                per_point(beams as f64),
+                per_point(dropped)
             );
         }
     }
@@ -277,12 +277,12 @@ fn targets(
             apart += (free as f64 / rays as f64 - share).abs();
             shown += usize::from(free > 0);
         }
-        let of = |sum: f64| sum / boxes.len() as f64;
+        let per_box = |sum: f64| sum / boxes.len() as f64;
         println!(
             "| {rays} rays | {:.0} | {shown} of {} | {:.3} |",
-            of(took) * 1e6,
+            per_box(took) * 1e6,
             boxes.len(),
-            of(apart)
+            per_box(apart)
         );
     }
     Ok(())

@@ -38,12 +38,12 @@ pub fn run(args: &TokenArgs, json: bool) -> Result<(), Error> {
         TokenCommand::List => {
             let file = read(path)?;
             if json {
-                let of = |t: &Token| {
+                let to_json = |t: &Token| {
                     let (id, user, scopes) = (&t.id, &t.user, &t.scopes);
                     serde_json::json!({"id": id, "user": user, "scopes": scopes, "made_at_ms": t.made_at_ms})
                 };
                 return print(
-                    &serde_json::Value::from_iter(file.tokens.iter().map(of)).to_string(),
+                    &serde_json::Value::from_iter(file.tokens.iter().map(to_json)).to_string(),
                 );
             }
             let lines = file

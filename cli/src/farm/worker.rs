@@ -10,7 +10,7 @@ use sightline::tracers::{note_missing, selection};
 use sightline_coordinator::{ConnectionLimits, Connections, Listener, Probed};
 use sightline_model::TracerChoice;
 use sightline_trace::gpu::{AdapterChoice, adapters};
-use sightline_worker::{Backends, Moved, Pulse, SceneCache, Stop, WorkerError};
+use sightline_worker::{Backends, Moved, SceneCache, Stop, WorkerCounters, WorkerError};
 use tokio::sync::watch;
 
 use crate::args::serve::WorkerArgs;
@@ -39,17 +39,17 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
         helps: true,
         direct: !args.no_direct,
         give_up_after: args.give_up_after.map(Duration::from_secs),
-        pulse: Arc::default(),
+        counters: Arc::default(),
         traces: args.traces.options().start("sightline-worker", &name)?,
         name,
     };
     let _sends_the_rest = config.traces.closing();
     use_threads(threads(args.threads))?;
     let runtime = runtime()?;
-    let pulse = Arc::clone(&config.pulse);
+    let counters = Arc::clone(&config.counters);
     let ended = runtime.block_on(async {
         if let Some(address) = args.metrics_listen {
-            watch_at(address, pulse).await?;
+            watch_at(address, counters).await?;
         }
         let (stop, stopped) = watch::channel(Stop::No);
         tokio::spawn(async move {
@@ -75,21 +75,21 @@ pub fn run(args: &WorkerArgs) -> Result<(), Error> {
 }
 
 /// Serves what a worker tells of itself, as a coordinator does.
-async fn watch_at(address: SocketAddr, pulse: Arc<Pulse>) -> Result<(), Error> {
+async fn watch_at(address: SocketAddr, counters: Arc<WorkerCounters>) -> Result<(), Error> {
     let connections = Connections::new(ConnectionLimits::of_process().map_err(Error::internal)?);
     let listener = Listener::bind(address, true, &connections).await;
     let listener = listener.map_err(|e| Error::usage(format!("--metrics-listen: {e}")))?;
     let address = listener.local_addr().map_err(Error::internal)?;
     print(&format!("metrics on http://{address}/metrics"))?;
     tokio::spawn(sightline_coordinator::serve_probes(
-        Arc::new(Watched(pulse)),
+        Arc::new(Watched(counters)),
         listener,
     ));
     Ok(())
 }
 
 /// A worker as who watches machines sees it.
-struct Watched(Arc<Pulse>);
+struct Watched(Arc<WorkerCounters>);
 
 impl Probed for Watched {
     fn metrics(&self) -> Result<String, String> {

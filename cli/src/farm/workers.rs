@@ -95,10 +95,10 @@ fn worker_line(w: &v1::WorkerInfo, now_ms: u64) -> String {
 
 fn held_text(held: &v1::HeldTile, now_ms: u64) -> String {
     let since = millis(now_ms.saturating_sub(held.since_ms));
-    let of = format!("tile {} of job {}", held.tile, held.job);
+    let tile_name = format!("tile {} of job {}", held.tile, held.job);
     match held.has_begun {
-        true => format!("{of} for {since}, {} cells done", held.cells),
-        false => format!("waits with {of} for {since}"),
+        true => format!("{tile_name} for {since}, {} cells done", held.cells),
+        false => format!("waits with {tile_name} for {since}"),
     }
 }
 

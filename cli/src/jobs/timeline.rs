@@ -31,21 +31,21 @@ impl Timeline {
         // The clock of a machine can be set back.
         let at = event.at_ms.saturating_sub(first);
         self.last_ms = self.last_ms.max(at);
-        let of = event.tile.map(|tile| (tile, event.worker.clone()));
-        match (event.kind(), of) {
-            (EventKind::Leased, Some(of)) => {
-                self.open.insert(of, at);
+        let tile_and_worker = event.tile.map(|tile| (tile, event.worker.clone()));
+        match (event.kind(), tile_and_worker) {
+            (EventKind::Leased, Some(tile_and_worker)) => {
+                self.open.insert(tile_and_worker, at);
             }
-            (EventKind::Done | EventKind::TakenBack | EventKind::Failed, Some(of)) => {
+            (EventKind::Done | EventKind::TakenBack | EventKind::Failed, Some(tile_and_worker)) => {
                 let how = event
                     .kind()
                     .as_str_name()
                     .trim_start_matches("EVENT_KIND_")
                     .to_ascii_lowercase();
-                match self.open.remove(&of) {
-                    Some(since) => self.complete(&of, since, at, &how, &event.text),
+                match self.open.remove(&tile_and_worker) {
+                    Some(since) => self.complete(&tile_and_worker, since, at, &how, &event.text),
                     // The lease is older than what the coordinator remembers.
-                    None => self.instant(&of.1, at, event),
+                    None => self.instant(&tile_and_worker.1, at, event),
                 }
             }
             _ => self.instant(&event.worker, at, event),
@@ -121,8 +121,8 @@ mod tests {
         line.add(&event(1600, EventKind::TakenBack, Some(9), "cy"));
         let whole = line.finish();
         let events = whole["traceEvents"].as_array().unwrap();
-        let of = |ph: &str| events.iter().filter(|e| e["ph"] == ph).collect::<Vec<_>>();
-        let spans = of("X");
+        let with_phase = |ph: &str| events.iter().filter(|e| e["ph"] == ph).collect::<Vec<_>>();
+        let spans = with_phase("X");
         assert_eq!(spans.len(), 2);
         assert_eq!(
             (&spans[0]["ts"], &spans[0]["dur"]),
@@ -132,6 +132,6 @@ mod tests {
             (&spans[1]["dur"], &spans[1]["cat"]),
             (&json!(580_000), &json!("running"))
         );
-        assert_eq!((of("i").len(), of("M").len()), (2, 4));
+        assert_eq!((with_phase("i").len(), with_phase("M").len()), (2, 4));
     }
 }

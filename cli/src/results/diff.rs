@@ -99,8 +99,9 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
     let items = items(args, older, newer)?;
     let changes = changes(&results, &items)?;
     let reached = changes.len();
-    let mean =
-        |of: &dyn Fn(&Change) -> f64| changes.iter().map(of).sum::<f64>() / reached.max(1) as f64;
+    let mean = |quantity: &dyn Fn(&Change) -> f64| {
+        changes.iter().map(quantity).sum::<f64>() / reached.max(1) as f64
+    };
     let fraction = mean(&|c| c.fraction);
     let has_shares = changes.iter().all(|c| c.shares.is_some()) && reached > 0;
     let share = has_shares.then(|| mean(&|c| c.shares.map_or(0.0, |[came, went]| came + went)));
@@ -117,7 +118,7 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
         .count();
     let is_bounded = changes.iter().any(|c| c.is_beyond_noise.is_some());
     let objects = objects(&results, &items, &changed);
-    let total = |of: &dyn Fn(&Change) -> usize| changed.iter().map(|c| of(c)).sum::<usize>();
+    let total = |count: &dyn Fn(&Change) -> usize| changed.iter().map(|c| count(c)).sum::<usize>();
     let (came, went) = (total(&|c| c.came.count()), total(&|c| c.went.count()));
     let what = match &items {
         Items::Triangles => "triangles",
@@ -128,22 +129,22 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
             .scene
             .as_ref()
             .map(|path| scene_of(path, &args.kinds, NamedResult::new(newer, &args.newer)));
-        let of = |c: &&Change| CellChange {
+        let to_cell_change = |c: &&Change| CellChange {
             cell: c.cell,
             came: c.came.count(),
             went: c.went.count(),
         };
-        let cells: Vec<CellChange> = changed.iter().map(of).collect();
+        let cells: Vec<CellChange> = changed.iter().map(to_cell_change).collect();
         let about = format!(
             "{} of {} changed: {came} {what} came and {went} went",
             changed.len(),
             plural(reached, "cell")
         );
-        let of = (newer, scene.transpose()?);
+        let pvs_and_scene = (newer, scene.transpose()?);
         diff_page::write(
             output,
             [&args.older, &args.newer],
-            (of.0, of.1.as_deref()),
+            (pvs_and_scene.0, pvs_and_scene.1.as_deref()),
             &cells,
             &about,
         )?;
@@ -283,12 +284,12 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, Error> {
         ))
     };
     let names: Vec<String> = numbered(older)?.union(&numbered(newer)?).cloned().collect();
-    let of = [older, newer].map(|pvs| {
+    let numbers = [older, newer].map(|pvs| {
         let number =
             |o: &sightline_pvs::Object| names.binary_search(&o.name).map_or(0, |n| n as u32);
         pvs.objects().iter().map(number).collect()
     });
-    Ok(Items::Objects { names, of })
+    Ok(Items::Objects { names, of: numbers })
 }
 
 /// The changes of all cells with viewpoints in either result, in their order.

@@ -41,13 +41,17 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
         for cell in all {
             let [visible, undecided] = sets(&pvs, cell, args.items)?;
             let [min, max] = corners(&pvs, cell);
-            let of = |c: &sightline_pvs::Contribution| json!({"mean": c.mean(), "greatest": c.greatest()});
+            let to_json = |c: &sightline_pvs::Contribution| {
+                json!({
+                    "mean": c.mean(), "greatest": c.greatest(),
+                })
+            };
             let contributions = match args.contributions {
                 true => Some(
                     pvs.contributions(cell)?
                         .unwrap_or_default()
                         .iter()
-                        .map(of)
+                        .map(to_json)
                         .collect(),
                 ),
                 false => None,

@@ -154,10 +154,11 @@ fn neighbours(bounds: &[[[f32; 3]; 2]], reached: &[u32]) -> Vec<BTreeSet<u32>> {
                 .push(*number);
         }
         for number in reached {
-            let of = &bounds[*number as usize];
-            for other in from.get(&of[1][axis].to_bits()).into_iter().flatten() {
+            let cell_box = &bounds[*number as usize];
+            for other in from.get(&cell_box[1][axis].to_bits()).into_iter().flatten() {
                 let to = &bounds[*other as usize];
-                let overlaps = |k: usize| of[0][k].max(to[0][k]) < of[1][k].min(to[1][k]);
+                let overlaps =
+                    |k: usize| cell_box[0][k].max(to[0][k]) < cell_box[1][k].min(to[1][k]);
                 if overlaps((axis + 1) % 3) && overlaps((axis + 2) % 3) {
                     all[*number as usize].insert(*other);
                     all[*other as usize].insert(*number);
@@ -203,13 +204,13 @@ mod tests {
 
     #[test]
     fn boxes_that_share_an_edge_are_no_neighbours() {
-        let of = |x: f32, y: f32| [[x, y, 0.0], [x + 1.0, y + 1.0, 1.0]];
+        let unit_box_at = |x: f32, y: f32| [[x, y, 0.0], [x + 1.0, y + 1.0, 1.0]];
         let all = [
-            of(0.0, 0.0),
-            of(1.0, 0.5),
-            of(1.0, -1.0),
-            of(3.0, 0.0),
-            of(0.0, 1.0),
+            unit_box_at(0.0, 0.0),
+            unit_box_at(1.0, 0.5),
+            unit_box_at(1.0, -1.0),
+            unit_box_at(3.0, 0.0),
+            unit_box_at(0.0, 1.0),
         ];
         let found = neighbours(&all, &[0, 1, 2, 3, 4]);
         assert_eq!(found[0], BTreeSet::from([1, 4]));

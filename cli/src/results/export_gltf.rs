@@ -136,10 +136,11 @@ impl Lists {
             let number = objects.len() as u32;
             let source = object.source.filter(|_| shows(object.first, object.count));
             numbers.push(source.map(|_| number));
-            if let Some(of) = source {
-                let mut value =
-                    json!({"node": of.node, "mesh": of.mesh, "primitive": of.primitive});
-                if let Some(instance) = of.instance {
+            if let Some(source) = source {
+                let mut value = json!({
+                    "node": source.node, "mesh": source.mesh, "primitive": source.primitive,
+                });
+                if let Some(instance) = source.instance {
                     value["instance"] = instance.into();
                 }
                 objects.push(value);
@@ -149,11 +150,11 @@ impl Lists {
         for cell in 0..pvs.cells() {
             if pvs.is_reached(cell)? {
                 pvs.visible_objects(cell, &mut ids)?;
-                let of = ids
+                let object_numbers = ids
                     .iter()
                     .filter_map(|id| *numbers.get(*id as usize)?)
                     .collect();
-                cells.push((pvs.cell_bounds(cell).unwrap_or_default(), of));
+                cells.push((pvs.cell_bounds(cell).unwrap_or_default(), object_numbers));
             }
         }
         Ok(Self { objects, cells })

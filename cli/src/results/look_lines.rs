@@ -135,14 +135,14 @@ mod tests {
 
     #[test]
     fn the_median_is_the_upper_middle() {
-        let of = |numbers: &[u64]| {
+        let median_of = |numbers: &[u64]| {
             let mut median = Median::default();
             numbers.iter().for_each(|n| median.add(*n));
             median.get()
         };
-        assert_eq!(of(&[]), None);
-        assert_eq!(of(&[7]), Some(7));
-        assert_eq!(of(&[9, 1, 5]), Some(5));
-        assert_eq!(of(&[1, 2, 3, 200]), Some(3));
+        assert_eq!(median_of(&[]), None);
+        assert_eq!(median_of(&[7]), Some(7));
+        assert_eq!(median_of(&[9, 1, 5]), Some(5));
+        assert_eq!(median_of(&[1, 2, 3, 200]), Some(3));
     }
 }

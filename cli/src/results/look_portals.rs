@@ -122,12 +122,12 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
 fn seen_from(pvs: &Pvs, view: &View, cell: Result<Option<u32>, LookError>) -> Result<u32, String> {
     let [lo, hi] = pvs.tree().view_box();
     let Some(cell) = cell.map_err(|e| e.to_string())? else {
-        let of = match pvs.find_cell_precisely(view.eye) {
+        let region = match pvs.find_cell_precisely(view.eye) {
             Some(_) => "the walls that enclose the points of --reachable-from".to_owned(),
             None => format!("the view box, {lo:?} to {hi:?}"),
         };
         return Err(format!(
-            "the eye {:?} is outside of {of}; give one inside",
+            "the eye {:?} is outside of {region}; give one inside",
             view.eye
         ));
     };

@@ -16,7 +16,7 @@ use sightline_measure::Portrait;
 use sightline_model::TracerChoice;
 use sightline_pvs::Pvs;
 use sightline_scene::{Kind, Scene};
-use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata};
 
 use crate::results::query_target::{OBJECT, What};
@@ -69,12 +69,13 @@ pub fn why(question: &Question<'_>, json: bool) -> Result<(), Error> {
         }
         What::Object(name) => {
             let index = object(question, name)?;
-            let of = &pvs.objects()[index];
-            let triangles: Vec<u32> = (of.first..of.first.saturating_add(of.count)).collect();
+            let entry = &pvs.objects()[index];
+            let triangles: Vec<u32> =
+                (entry.first..entry.first.saturating_add(entry.count)).collect();
             let mut answer = of_object(question, &triangles)?;
-            (answer["object"], answer["name"]) = (index.into(), of.name.as_str().into());
+            (answer["object"], answer["name"]) = (index.into(), entry.name.as_str().into());
             (
-                format!("object {}", printable::name(&of.name)),
+                format!("object {}", printable::name(&entry.name)),
                 triangles,
                 answer,
             )
@@ -151,13 +152,13 @@ fn of_object(question: &Question<'_>, triangles: &[u32]) -> Result<Value, Error>
             }
             Some("hidden") => {
                 hidden += 1;
-                let of = answer["blockers"].as_array().map_or(&[][..], |b| b);
-                blockers.extend(of.iter().filter_map(Value::as_u64));
+                let triangle_blockers = answer["blockers"].as_array().map_or(&[][..], |b| b);
+                blockers.extend(triangle_blockers.iter().filter_map(Value::as_u64));
                 reasons.insert(
                     match (answer["kind"].as_str(), answer["degenerate"] == true) {
                         (Some(kind), _) => format!("are {}", kind_text(kind)),
                         (None, true) => "have no area".to_owned(),
-                        (None, false) if of.is_empty() => {
+                        (None, false) if triangle_blockers.is_empty() => {
                             "turn their inner side to the cell".to_owned()
                         }
                         (None, false) => "are behind others".to_owned(),
@@ -331,7 +332,7 @@ fn draw(
     let (_, backend) = open_tracer(TracerChoice::Auto, &scene, spec, &Terminal::new())?;
     let step = least_step(scene.bounds());
     let prepared = PreparedScene::new(Arc::clone(&scene))?;
-    let sight = Sight::new(&*backend, prepared.traced()).map_err(Error::internal)?;
+    let sight = SightLineTracer::new(&*backend, prepared.traced()).map_err(Error::internal)?;
     let portrait = Portrait {
         eye: end(0).unwrap_or_else(|| question.eye.into()),
         target,

@@ -15,7 +15,7 @@ use sightline::words::plural;
 use sightline_measure::{Frame, Options, Report, Viewpoints, measure};
 use sightline_pvs::Pvs;
 use sightline_report::{About, Blame, Budget, Costs, OverBudget, blame, over_budget, page};
-use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata, layers};
 
 use crate::args::results::ReportArgs;
@@ -169,7 +169,7 @@ fn look(args: &ReportArgs, pvs: &Pvs) -> Result<Found, Error> {
         |e: sightline_report::ReportError| Error::input(format!("{}: {e}", args.result.display()));
     let costs = Costs::of(pvs, &scene).map_err(input)?;
     let by_object = Costs::of_objects(pvs, &scene).map_err(input)?;
-    let sight = Sight::new(&*backend, prepared.traced())
+    let sight = SightLineTracer::new(&*backend, prepared.traced())
         .map_err(Error::internal)?
         .up_to(far);
     // Viewpoints inside of walls count where the result says so, as the sets count them.

@@ -114,12 +114,12 @@ fn places(pvs: &Pvs, scene: Option<&Scene>, result: &Path) -> Result<Vec<[f32; 3
     let Some(region) = region_of_result(NamedResult::new(pvs, result), scene)? else {
         return Ok(Vec::new());
     };
-    let of = |cell: u32| {
+    let viewpoint_in = |cell: u32| {
         let [min, max] = pvs.cell_bounds(cell)?;
         region.any_in(sightline_scene::Aabb::new(min.into(), max.into()))
     };
     Ok((0..pvs.cells())
-        .map(|cell| of(cell).map_or([f32::NAN; 3], |p| p.to_array()))
+        .map(|cell| viewpoint_in(cell).map_or([f32::NAN; 3], |p| p.to_array()))
         .collect())
 }
 

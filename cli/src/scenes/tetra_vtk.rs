@@ -75,11 +75,11 @@ fn write(contents: &Contents<'_>, divided: &Divided, out: &mut dyn Write) -> std
     array(out, r#"type="UInt8" Name="types""#, kinds)?;
     writeln!(out, "</Cells>\n<CellData>")?;
     let none = |count: usize| std::iter::repeat_n(-1i64, count);
-    let of = cells.iter().map(|c| i64::from(*c)).chain(none(flat));
+    let cell_numbers = cells.iter().map(|c| i64::from(*c)).chain(none(flat));
     array(
         out,
         r#"type="Int64" Name="cell""#,
-        of.flat_map(i64::to_le_bytes),
+        cell_numbers.flat_map(i64::to_le_bytes),
     )?;
     let solids = cells
         .iter()
@@ -90,11 +90,11 @@ fn write(contents: &Contents<'_>, divided: &Divided, out: &mut dyn Write) -> std
         r#"type="Int64" Name="solids""#,
         solids.flat_map(i64::to_le_bytes),
     )?;
-    let of = none(solid).chain(triangles.iter().map(|t| i64::from(*t)));
+    let triangle_numbers = none(solid).chain(triangles.iter().map(|t| i64::from(*t)));
     array(
         out,
         r#"type="Int64" Name="triangle""#,
-        of.flat_map(i64::to_le_bytes),
+        triangle_numbers.flat_map(i64::to_le_bytes),
     )?;
     writeln!(
         out,

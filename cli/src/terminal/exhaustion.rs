@@ -223,25 +223,25 @@ mod tests {
 
     #[test]
     fn error_texts_name_exhausted_resource() {
-        let of = |number| Error::from_raw_os_error(number);
+        let os_error = |number| Error::from_raw_os_error(number);
         let in_error =
             |error: Error| Exhausted::in_error(&format!("a.pvs cannot be read: {error}"));
-        assert_eq!(in_error(of(24)), Some(Exhausted::Files));
-        assert_eq!(in_error(of(23)), Some(Exhausted::Files));
-        assert_eq!(in_error(of(12)), Some(Exhausted::Memory));
+        assert_eq!(in_error(os_error(24)), Some(Exhausted::Files));
+        assert_eq!(in_error(os_error(23)), Some(Exhausted::Files));
+        assert_eq!(in_error(os_error(12)), Some(Exhausted::Memory));
         assert_eq!(
             in_error(ErrorKind::OutOfMemory.into()),
             Some(Exhausted::Memory)
         );
-        assert_eq!(in_error(of(2)), None);
+        assert_eq!(in_error(os_error(2)), None);
         // A socket without data reports the same number as a thread that cannot start.
-        assert_eq!(in_error(of(11)), None);
+        assert_eq!(in_error(os_error(11)), None);
         for panic in [
-            format!("failed to spawn thread: {:?}", of(11)),
-            format!("OS can't spawn worker thread: {}", of(11)),
+            format!("failed to spawn thread: {:?}", os_error(11)),
+            format!("OS can't spawn worker thread: {}", os_error(11)),
             format!(
                 "The global thread pool has not been initialized.: {:?}",
-                of(12)
+                os_error(12)
             ),
         ] {
             let payload: Box<dyn Any + Send> = Box::new(panic);

@@ -135,7 +135,7 @@ impl Scheduler {
             return;
         };
         if let Some(job) = self.jobs.get_mut(&lease.job) {
-            job.tiles[lease.tile.at()].hands.insert(name);
+            job.tiles[lease.tile.at()].contributors.insert(name);
         }
     }
 
@@ -168,7 +168,7 @@ impl Scheduler {
     /// The order to help did not reach a worker, which does not read its stream.
     pub(super) fn help_undelivered(&mut self, worker: WorkerId, lease: &Lease, now: Now) {
         // It counts as deaf first, so that it is not sent again at once.
-        self.deafen(worker, now);
+        self.backpressure(worker, now);
         self.helped(worker, lease);
     }
 

@@ -110,7 +110,7 @@ impl Scheduler {
         };
         t.deaths.push(instance);
         t.judged = true;
-        job.look_at(tile);
+        job.update_ready(tile);
         if self.deaths.len() == MAX_DEATHS {
             self.deaths.pop_front();
         }
@@ -152,7 +152,7 @@ impl Scheduler {
             && let Some(t) = job.tiles.get_mut(tile.at())
         {
             t.judged = false;
-            job.look_at(tile);
+            job.update_ready(tile);
         }
         self.set_orphan_aside(id, tile);
         self.list_job(id);
@@ -177,7 +177,7 @@ impl Scheduler {
                 .get_mut(&id)
                 .and_then(|job| job.tiles.get_mut(tile.at()))
             {
-                t.deaths.retain(|of| *of != instance);
+                t.deaths.retain(|dead| *dead != instance);
             }
             // The store keeps one failure for a name: it also stands for the death of another process.
             if self
@@ -187,13 +187,13 @@ impl Scheduler {
             {
                 continue;
             }
-            let of = (id, tile, name);
+            let key = (id, tile, name);
             // A cancellation that overtook the record would leave it there.
-            if let Some(is_cancelled) = self.recording.get_mut(&of) {
+            if let Some(is_cancelled) = self.recording.get_mut(&key) {
                 *is_cancelled = true;
                 continue;
             }
-            let (worker, reason) = (of.2, REASON.to_owned());
+            let (worker, reason) = (key.2, REASON.to_owned());
             self.effects.push(Effect::Run(StoreCommand::CancelDeath {
                 job: id,
                 tile,

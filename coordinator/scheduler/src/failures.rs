@@ -67,7 +67,7 @@ impl Scheduler {
                 reason,
             }));
         }
-        job.look_at(tile);
+        job.update_ready(tile);
         self.list_job(id);
     }
 
@@ -82,7 +82,7 @@ impl Scheduler {
         let wait = 1000u64 << t.faults.saturating_sub(1).min(MOST_DOUBLINGS);
         let until = now.ms + (wait as f64 * jitter) as u64;
         t.not_before = Some(until);
-        job.look_at(tile);
+        job.update_ready(tile);
         self.set_timer(until, Timer::Tile(id, tile));
         self.list_job(id);
     }
@@ -109,7 +109,7 @@ impl Scheduler {
             let tiles = job.lost_with(tile);
             for lost in &tiles {
                 job.tiles[lost.at()].judged = true;
-                job.look_at(*lost);
+                job.update_ready(*lost);
             }
             // The tiles that need it first: if this is interrupted half-way, the tile is still open and fails
             // again.
@@ -126,7 +126,7 @@ impl Scheduler {
             }));
         }
         if let Some(job) = self.jobs.get_mut(&id) {
-            job.look_at(tile);
+            job.update_ready(tile);
         }
         self.set_orphan_aside(id, tile);
         self.list_job(id);

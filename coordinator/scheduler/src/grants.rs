@@ -249,7 +249,7 @@ impl Scheduler {
     }
 
     /// Gives idle workers second leases on tiles that take much longer than others of their job.
-    pub(super) fn look_for_stragglers(&mut self, now: Now) {
+    pub(super) fn find_stragglers(&mut self, now: Now) {
         if self.only.is_some() || self.paused_until.is_some() {
             return;
         }
@@ -320,7 +320,7 @@ impl Scheduler {
                 self.back_off(id, tile, now);
                 return;
             }
-            job.look_at(tile);
+            job.update_ready(tile);
             self.list_job(id);
             // The store may have rejected the command that sets it aside.
             self.set_orphan_aside(id, tile);

@@ -214,7 +214,7 @@ impl Scheduler {
     fn check_worker(&self, id: WorkerId) -> Result<(), String> {
         let w = &self.workers[&id];
         let fit = !w.draining && !self.is_barred(&w.signature);
-        let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
+        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.silent;
         let idle = w.leases.is_empty();
         let fine = w.profiles.iter().all(|p| {
             self.pools.of.get(p).is_some_and(|pool| {

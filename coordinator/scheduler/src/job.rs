@@ -58,7 +58,7 @@ pub struct Tile {
     /// Whether a command about its failure is with the store.
     pub(super) judged: bool,
     /// Who has helped with it or led a crew for it: what they have computed may be in its output.
-    pub(super) hands: BTreeSet<Name>,
+    pub(super) contributors: BTreeSet<Name>,
     /// Who has sent its output; empty when nobody has, or it is not known.
     pub(super) author: Name,
 }
@@ -223,13 +223,13 @@ impl Job {
             listed: None,
         };
         for tile in tiles {
-            let (mut hands, mut author) = (BTreeSet::new(), Name::default());
+            let (mut contributors, mut author) = (BTreeSet::new(), Name::default());
             let output = match tile.state {
                 TileState::Open => Output::Open,
                 TileState::Done { digest, stats, .. } => {
                     job.done += 1;
                     job.add(&stats);
-                    hands.extend(stats.helpers.iter().map(|name| name.as_str().into()));
+                    contributors.extend(stats.helpers.iter().map(|name| name.as_str().into()));
                     author = stats.worker.as_str().into();
                     if tile.check.is_none() {
                         job.unchecked.push((tile.tile, digest));
@@ -253,7 +253,7 @@ impl Job {
                 faults,
                 not_before,
                 judged,
-                hands,
+                contributors,
                 author,
             };
             job.tiles.push(tile);
@@ -346,7 +346,7 @@ impl Job {
     }
 
     /// Puts a tile among the ready ones, or takes it out.
-    pub(super) fn look_at(&mut self, tile: TileIndex) {
+    pub(super) fn update_ready(&mut self, tile: TileIndex) {
         if self.is_ready(tile) {
             self.ready.insert(tile);
         } else {
@@ -365,11 +365,11 @@ impl Job {
         self.add(stats);
         self.tiles[tile.at()].output = Output::Done(digest);
         self.tiles[tile.at()].not_before = None;
-        self.look_at(tile);
+        self.update_ready(tile);
         for at in self.first[tile.at()]..self.first[tile.at() + 1] {
             let dependent = TileIndex(self.dependents[at as usize]);
             self.tiles[dependent.at()].missing -= 1;
-            self.look_at(dependent);
+            self.update_ready(dependent);
         }
         true
     }
@@ -382,7 +382,7 @@ impl Job {
             t.output = Output::SetAside(digest);
             self.set_aside += 1;
         }
-        self.look_at(tile);
+        self.update_ready(tile);
     }
 
     /// Milliseconds for a tile granted now, when the job has a time budget: the remaining time, divided by

@@ -64,7 +64,7 @@ impl Scheduler {
         }
         for tile in &tiles {
             job.tiles[tile.at()].judged = true;
-            job.look_at(*tile);
+            job.update_ready(*tile);
         }
         let (work, reason) = (
             Arc::clone(&job.work),

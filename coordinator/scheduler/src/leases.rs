@@ -41,7 +41,7 @@ impl Scheduler {
         };
         *free = Some(id);
         entry.running += 1;
-        entry.look_at(tile);
+        entry.update_ready(tile);
         let timer = now.ms + self.settings.ttl.min(self.settings.stuck) + 1;
         let leased = Leased {
             job,
@@ -92,7 +92,7 @@ impl Scheduler {
                 .iter_mut()
                 .filter(|of| **of == Some(id))
                 .for_each(|of| *of = None);
-            job.look_at(l.tile);
+            job.update_ready(l.tile);
             self.list_job(l.job);
         }
         if l.gone.is_none() {
@@ -353,6 +353,6 @@ impl Scheduler {
         if let Some(w) = self.workers.get_mut(&worker) {
             w.wants = (w.wants + 1).min(super::workers::MOST_HELD);
         }
-        self.deafen(worker, now);
+        self.backpressure(worker, now);
     }
 }

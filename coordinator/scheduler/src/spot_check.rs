@@ -39,7 +39,7 @@ pub(super) struct SpotCheck {
     pub(super) tries: u32,
     pub(super) not_before: u64,
     /// Since when nobody is there who could check it, although the job lacks nothing else.
-    pub(super) lonely_since: Option<u64>,
+    pub(super) without_checker_since: Option<u64>,
     /// Whether somebody may check it who has helped with it, because nobody else is there.
     pub(super) helpers_may: bool,
     /// Whether it was said that a third worker is needed.
@@ -59,7 +59,7 @@ impl SpotCheck {
             }],
             tries: 0,
             not_before: 0,
-            lonely_since: None,
+            without_checker_since: None,
             helpers_may: false,
             told: false,
             condemned: false,

@@ -44,12 +44,16 @@ impl Scheduler {
         };
         // With a time budget two workers do not get equally far.
         let timed = job.work.spec().time_budget().is_some();
-        let Tile { author, hands, .. } = &job.tiles[tile.at()];
+        let Tile {
+            author,
+            contributors,
+            ..
+        } = &job.tiles[tile.at()];
         // Who has sent it under a lease of an earlier start is not known.
         if timed || author.is_empty() || self.only.is_some() || draw.unit_f64() >= share {
             return;
         }
-        let spot = SpotCheck::of(digest, Name::clone(author), hands.clone());
+        let spot = SpotCheck::of(digest, Name::clone(author), contributors.clone());
         job.spots.insert(tile, spot);
         self.spotted.insert((id, tile));
     }
@@ -73,8 +77,12 @@ impl Scheduler {
         if self.quarantined.contains(&name) || job.tiles[tile.at()].author.is_empty() {
             return;
         }
-        let Tile { author, hands, .. } = &job.tiles[tile.at()];
-        let first = SpotCheck::of(kept, Name::clone(author), hands.clone());
+        let Tile {
+            author,
+            contributors,
+            ..
+        } = &job.tiles[tile.at()];
+        let first = SpotCheck::of(kept, Name::clone(author), contributors.clone());
         job.spots.entry(tile).or_insert(first);
         self.spotted.insert((id, tile));
         self.take_answer(id, tile, digest, name);
@@ -118,11 +126,11 @@ impl Scheduler {
                 .filter(|tile| tile.output == Output::Open)
             {
                 if tile
-                    .hands
+                    .contributors
                     .iter()
                     .any(|name| self.quarantined.contains(name))
                 {
-                    tile.hands.clear();
+                    tile.contributors.clear();
                     tainted.extend(tile.leases.into_iter().flatten());
                 }
             }
@@ -205,7 +213,8 @@ impl Scheduler {
             return hungry.find(may).copied();
         }
         let may = |w: &Worker| {
-            let idle = w.wants > 0 && w.leases.is_empty() && w.deaf_until.is_none() && !w.silent;
+            let idle =
+                w.wants > 0 && w.leases.is_empty() && w.backpressured_until.is_none() && !w.silent;
             idle && self.could_check(w, profile, spot)
         };
         self.workers.iter().find(|(_, w)| may(w)).map(|(id, _)| *id)
@@ -219,7 +228,8 @@ impl Scheduler {
         } else {
             self.is_barred(name)
         };
-        let asks = !w.silent && w.deaf_until.is_none() && (w.wants > 0 || !w.leases.is_empty());
+        let asks =
+            !w.silent && w.backpressured_until.is_none() && (w.wants > 0 || !w.leases.is_empty());
         w.profiles.contains(profile) && asks && !w.draining && !barred && !spot.knows(name)
     }
 
@@ -308,10 +318,10 @@ impl Scheduler {
             return;
         };
         if able || !waits {
-            spot.lonely_since = None;
+            spot.without_checker_since = None;
         } else if now
             .ms
-            .saturating_sub(*spot.lonely_since.get_or_insert(now.ms))
+            .saturating_sub(*spot.without_checker_since.get_or_insert(now.ms))
             < LONELY
         {
             // Somebody may come.

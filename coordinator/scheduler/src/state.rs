@@ -68,7 +68,7 @@ pub(super) struct Worker {
     pub(super) wants: u32,
     pub(super) draining: bool,
     /// It did not take an order; it gets none until then.
-    pub(super) deaf_until: Option<u64>,
+    pub(super) backpressured_until: Option<u64>,
     /// A lease of it ran out although its stream is there: it gets nothing until it asks again.
     pub(super) silent: bool,
     /// The first lease that ran out since it has said anything.
@@ -322,7 +322,7 @@ impl Scheduler {
             self.timers.remove(&(at, timer));
             self.fire(timer, now);
         }
-        self.look_for_stragglers(now);
+        self.find_stragglers(now);
         self.grant_checks(now);
         self.ask_again();
     }
@@ -343,9 +343,9 @@ impl Scheduler {
             }
             Timer::Deaf(id) => {
                 if let Some(w) = self.workers.get_mut(&id)
-                    && w.deaf_until.is_some_and(|until| until <= now.ms)
+                    && w.backpressured_until.is_some_and(|until| until <= now.ms)
                 {
-                    w.deaf_until = None;
+                    w.backpressured_until = None;
                     self.list_worker(id);
                 }
             }
@@ -385,13 +385,13 @@ impl Scheduler {
         let earlier = lease.id.epoch < self.settings.epoch && (trusting || holder.is_some());
         let given = given.or(holder);
         let is_good = |name: &Name| !self.quarantined.contains(name);
-        let is_clean = given.as_ref().is_none_or(is_good) && tile.hands.iter().all(is_good);
+        let is_clean = given.as_ref().is_none_or(is_good) && tile.contributors.iter().all(is_good);
         let is_kept = (earlier || given.is_some()) && is_clean;
         let counts =
             lease.id >= job.counts_from && (is_kept || matches!(tile.output, Output::Done(_)));
         let worker = given.map(|name| name.to_string()).unwrap_or_default();
         let helpers = tile
-            .hands
+            .contributors
             .iter()
             .filter(|name| ***name != *worker)
             .map(|name| name.to_string())

@@ -63,7 +63,7 @@ impl Scheduler {
             return Some("its last lease ran out, and it has said nothing since");
         }
         worker
-            .deaf_until
+            .backpressured_until
             .map(|_| "it does not read the orders that it is sent")
     }
 

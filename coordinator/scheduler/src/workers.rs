@@ -14,7 +14,7 @@ use super::state::{Scheduler, Timer, Worker};
 use super::worker_totals::WorkerTotals;
 
 /// How long a worker that did not take an order gets none, in milliseconds.
-const DEAF: u64 = 1000;
+const BACKPRESSURE_MS: u64 = 1000;
 /// Tiles that a worker may hold: one that it works on and one that it fetches.
 pub(super) const MOST_HELD: u32 = 2;
 
@@ -69,7 +69,7 @@ impl Scheduler {
             serves: of_choice,
             wants: 0,
             draining: false,
-            deaf_until: None,
+            backpressured_until: None,
             silent: false,
             unheard: None,
             leases: BTreeSet::new(),
@@ -177,10 +177,10 @@ impl Scheduler {
     }
 
     /// Gives a worker that did not take an order none for a while.
-    pub(super) fn deafen(&mut self, worker: WorkerId, now: Now) {
+    pub(super) fn backpressure(&mut self, worker: WorkerId, now: Now) {
         if let Some(w) = self.workers.get_mut(&worker) {
-            w.deaf_until = Some(now.ms + DEAF);
-            self.set_timer(now.ms + DEAF, Timer::Deaf(worker));
+            w.backpressured_until = Some(now.ms + BACKPRESSURE_MS);
+            self.set_timer(now.ms + BACKPRESSURE_MS, Timer::Deaf(worker));
             self.list_worker(worker);
         }
     }
@@ -194,7 +194,7 @@ impl Scheduler {
             w.leases.is_empty(),
             !w.draining && !self.is_barred(&w.signature),
         );
-        let hungry = fit && w.wants > 0 && w.deaf_until.is_none() && !w.silent;
+        let hungry = fit && w.wants > 0 && w.backpressured_until.is_none() && !w.silent;
         let helps = hungry && idle && w.can_help && w.helps.is_none();
         let belongs = [fit && idle, hungry && idle, hungry && !idle, helps];
         for (choice, serves) in w.serves.into_iter().enumerate() {

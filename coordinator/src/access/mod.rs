@@ -186,8 +186,8 @@ pub enum Refusal {
 }
 
 fn stamp(path: &std::path::Path) -> Option<(SystemTime, u64)> {
-    let of = std::fs::metadata(path).ok()?;
-    Some((of.modified().ok()?, of.len()))
+    let metadata = std::fs::metadata(path).ok()?;
+    Some((metadata.modified().ok()?, metadata.len()))
 }
 
 #[cfg(test)]

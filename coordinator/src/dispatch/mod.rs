@@ -162,12 +162,12 @@ fn write(c: &Coordinator, note: &Note) {
         Note::TakenBack(lease @ Lease { job, tile, .. }, from, why) => {
             c.metrics.lease_taken_back();
             c.spans.lease_ended(lease, spans::TAKEN_BACK);
-            let of = from
+            let origin = from
                 .as_ref()
                 .map(|name| format!(" from worker {name}"))
                 .unwrap_or_default();
-            tracing::warn!("tile {tile} of job {job} is taken back{of}: {why}");
-            let text = format!("tile {tile} is taken back{of}: {why}");
+            tracing::warn!("tile {tile} of job {job} is taken back{origin}: {why}");
+            let text = format!("tile {tile} is taken back{origin}: {why}");
             LogEvent::of_lease(Kind::TakenBack, lease, text).on(from.clone().unwrap_or_default())
         }
         Note::TakenOver(lease @ Lease { job, tile, .. }, from) => {

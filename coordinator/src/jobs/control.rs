@@ -204,12 +204,17 @@ pub(crate) fn list(
     wanted: &JobFilter,
 ) -> Result<(Vec<Summary>, bool), StoreError> {
     let (page, older) = own_before(c, caller, before, most, wanted)?;
-    let of = |job: &JobRecord| match summary(c, job.id) {
+    let summary_if_present = |job: &JobRecord| match summary(c, job.id) {
         // It was deleted in between.
         Err(StoreError::UnknownJob { .. }) => None,
         summary => Some(summary),
     };
-    Ok((page.iter().filter_map(of).collect::<Result<_, _>>()?, older))
+    Ok((
+        page.iter()
+            .filter_map(summary_if_present)
+            .collect::<Result<_, _>>()?,
+        older,
+    ))
 }
 
 /// The newest jobs before one that a caller may see and wants, ascending, and whether there are older ones.

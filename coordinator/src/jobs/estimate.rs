@@ -207,7 +207,7 @@ enum SamplerParams {
 fn cost(jobs: &[Finished], cells: u64) -> Option<Cost> {
     let same_scene = jobs.iter().any(|job| job.like);
     let used: Vec<&Finished> = jobs.iter().filter(|job| job.like || !same_scene).collect();
-    let of = |what: &dyn Fn(&Finished) -> u64| {
+    let min_median_max = |what: &dyn Fn(&Finished) -> u64| {
         let scaled = |job: &&Finished| {
             let exact = u128::from(what(job)) * u128::from(cells) / u128::from(job.cells);
             u64::try_from(exact).unwrap_or(u64::MAX)
@@ -216,7 +216,10 @@ fn cost(jobs: &[Finished], cells: u64) -> Option<Cost> {
         all.sort_unstable();
         Some([*all.first()?, *all.get(all.len() / 2)?, *all.last()?])
     };
-    let (millis, bytes) = (of(&|job| job.millis)?, of(&|job| job.bytes)?);
+    let (millis, bytes) = (
+        min_median_max(&|job| job.millis)?,
+        min_median_max(&|job| job.bytes)?,
+    );
     Some(Cost {
         jobs: used.len() as u32,
         same_scene,

@@ -132,12 +132,16 @@ fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {
 
 /// Returns the ended jobs with the times of their ends, ascending by number: times may be wrong.
 fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, Fault> {
-    let of = |job: JobRecord| {
+    let with_end_time = |job: JobRecord| {
         job.finished_at_ms
             .filter(|_| job.state.phase().ended())
             .map(|at| (at, job))
     };
-    Ok(c.store.jobs()?.into_iter().filter_map(of).collect())
+    Ok(c.store
+        .jobs()?
+        .into_iter()
+        .filter_map(with_end_time)
+        .collect())
 }
 
 fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {

@@ -43,7 +43,7 @@ pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, S
     if let Some(live) = c.lock().scheduler.standings(id) {
         return Ok(live);
     }
-    let of = |state: &TileState| match state {
+    let status_of = |state: &TileState| match state {
         TileState::Open => TileStatus::Waiting,
         TileState::Done { .. } => TileStatus::Done,
         TileState::SetAside { .. } => TileStatus::SetAside,
@@ -51,7 +51,7 @@ pub(crate) fn standings(c: &Coordinator, id: JobId) -> Result<Vec<TileStatus>, S
     Ok(c.store
         .tiles(id)?
         .iter()
-        .map(|tile| of(&tile.state))
+        .map(|tile| status_of(&tile.state))
         .collect())
 }
 

@@ -46,20 +46,23 @@ mod tests {
             tile: TileIndex(0),
             id,
         };
-        let of = |sha256| Staged {
+        let staged_with_hash = |sha256| Staged {
             lease,
             sha256: [sha256; 32],
             bytes: 1,
         };
         let (staging, later) = (Staging::default(), Instant::now() + Duration::from_secs(60));
-        assert!(staging.claims(&of(1), later) && staging.claims(&of(1), later));
-        assert!(!staging.claims(&of(2), later));
+        assert!(
+            staging.claims(&staged_with_hash(1), later)
+                && staging.claims(&staged_with_hash(1), later)
+        );
+        assert!(!staging.claims(&staged_with_hash(2), later));
         let other = Staged {
             lease: Lease {
                 tile: TileIndex(1),
                 ..lease
             },
-            ..of(2)
+            ..staged_with_hash(2)
         };
         assert!(staging.claims(&other, Instant::now()));
         // Its time is over.

@@ -1,4 +1,7 @@
 //! Calls in a time, and calls at a time.
+//!
+//! The crate `governor` does not replace this file: its limiters have one rate for all keys, fixed when they
+//! are made, and do not count open calls. Here each user has a quota, and a reload changes it.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -56,13 +56,13 @@ impl Usage {
     /// # Errors
     /// [`LimitExceeded::Quota`] with the first thing that is too much.
     pub(crate) fn within(self, quota: &Quota, user: &str) -> Result<(), LimitExceeded> {
-        let of = [
+        let limits = [
             ("bytes", self.bytes, quota.bytes),
             ("scenes", self.scenes, quota.scenes),
             ("jobs", self.jobs, quota.jobs),
             ("tiles", self.tiles, quota.tiles),
         ];
-        for (what, wanted, most) in of {
+        for (what, wanted, most) in limits {
             if let Some(most) = most.filter(|most| wanted > *most) {
                 return Err(LimitExceeded::Quota {
                     user: user.to_owned(),

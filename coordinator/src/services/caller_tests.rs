@@ -424,9 +424,9 @@ async fn job_of_another_user_does_not_exist() {
     let plain = farm.channel(false).await;
     for method in ABOUT_A_JOB {
         let path = format!("sightline.v1.{method}");
-        let of = async |user: &str, job| call(&plain, &path, farm.token(user), job).await;
-        let strange = of("bob", job).await.unwrap();
-        let missing = of("bob", 77).await.unwrap();
+        let call_as = async |user: &str, job| call(&plain, &path, farm.token(user), job).await;
+        let strange = call_as("bob", job).await.unwrap();
+        let missing = call_as("bob", 77).await.unwrap();
         assert_eq!(strange.code(), Code::NotFound, "{method}: {strange}");
         // The answer is that about a job that there is not.
         assert_eq!(

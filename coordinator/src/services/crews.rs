@@ -251,8 +251,12 @@ async fn keep(
     };
     let kept = blocking(c, move |c| {
         let digest = spool.digest().map_err(|e| status::of_spool(&e))?;
-        let of = (spool.announced(), blake3::Hash::from_bytes(digest));
-        let push = |from: &mut dyn Read| c.crews.outcomes.push_from(tile, phase, of, from);
+        let length_and_hash = (spool.announced(), blake3::Hash::from_bytes(digest));
+        let push = |from: &mut dyn Read| {
+            c.crews
+                .outcomes
+                .push_from(tile, phase, length_and_hash, from)
+        };
         if spool.read(c, push).map_err(|e| status::of_blob(&e))? {
             return Ok(true);
         }

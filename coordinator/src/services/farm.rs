@@ -187,10 +187,10 @@ async fn tell(
     follow: bool,
     out: mpsc::Sender<Result<v1::Event, Status>>,
 ) {
-    let mut grown = c.chronicle.grown();
+    let mut grown = c.event_log.grown();
     loop {
         grown.mark_unchanged();
-        let (events, upto) = c.chronicle.after(job, after, EVENTS_AT_ONCE);
+        let (events, upto) = c.event_log.after(job, after, EVENTS_AT_ONCE);
         let is_end = events.len() < EVENTS_AT_ONCE;
         for event in events {
             let sent =

@@ -141,7 +141,7 @@ impl Front {
     /// Keeps what is in memory alone and may be kept. To be called at the end.
     pub fn close(&self) {
         if let Now::Here(_, coordinator) = &*self.0.now.borrow() {
-            coordinator.chronicle.write();
+            coordinator.event_log.write();
         }
     }
 

@@ -390,8 +390,8 @@ where
         .oneshot(request)
         .await
         .map_err(|e| e.into() as Box<dyn std::error::Error>)?;
-    let of = |headers: &HeaderMap| Status::from_header_map(headers);
-    if let Some(status) = of(response.headers()) {
+    let status_in = |headers: &HeaderMap| Status::from_header_map(headers);
+    if let Some(status) = status_in(response.headers()) {
         return Ok(status);
     }
     let mut body = response.into_body();
@@ -401,7 +401,7 @@ where
             Err(_) => return Ok(Status::cancelled("")),
             Ok(None) => return Ok(Status::new(Code::Ok, "")),
             Ok(Some(part)) => {
-                if let Some(status) = part?.trailers_ref().and_then(of) {
+                if let Some(status) = part?.trailers_ref().and_then(status_in) {
                     return Ok(status);
                 }
             }

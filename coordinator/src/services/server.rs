@@ -69,7 +69,7 @@ pub async fn serve(
     }
     ticks.abort();
     looks.abort();
-    coordinator.chronicle.write();
+    coordinator.event_log.write();
     Ok(())
 }
 
@@ -223,9 +223,9 @@ pub(super) fn tick(coordinator: &Arc<Coordinator>) -> JoinHandle<()> {
                 let coordinator = Arc::clone(&coordinator);
                 tokio::task::spawn_blocking(move || retention_stamp::record_if_due(&coordinator));
             }
-            if coordinator.chronicle.has_unwritten() {
+            if coordinator.event_log.has_unwritten() {
                 let coordinator = Arc::clone(&coordinator);
-                tokio::task::spawn_blocking(move || coordinator.chronicle.write());
+                tokio::task::spawn_blocking(move || coordinator.event_log.write());
             }
         }
     })

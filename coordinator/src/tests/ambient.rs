@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use sightline_model::openness::Openness;
-use sightline_model::receivers::{Asked, Falloff, Receiver, Receivers};
+use sightline_model::receivers::{Falloff, Receiver, ReceiverSettings, Receivers};
 use sightline_model::{Ambient, JobSpec, NO_PROFILE};
 use sightline_records::JobState;
 use sightline_records::ids::Digest;
@@ -39,14 +39,14 @@ fn of_blocks(blocks: &[u32]) -> Vec<u8> {
         normal: [0.0, 0.0, 1.0],
         triangle: Some(0),
     };
-    let asked = Asked {
+    let settings = ReceiverSettings {
         distance: 2.0,
         falloff: Falloff::None,
         lights: Vec::new(),
     };
     let receivers = (0..all).map(receiver).collect();
     Receivers {
-        asked,
+        settings,
         blocks: blocks.to_vec(),
         receivers,
     }
@@ -328,7 +328,7 @@ fn what_is_no_job_of_receivers_is_refused() {
         "{refused}"
     );
     // A triangle that the scene does not have.
-    let asked = Asked {
+    let settings = ReceiverSettings {
         distance: f64::INFINITY,
         falloff: Falloff::None,
         lights: Vec::new(),
@@ -339,7 +339,7 @@ fn what_is_no_job_of_receivers_is_refused() {
         triangle: Some(1),
     };
     let bytes = Receivers {
-        asked,
+        settings,
         blocks: vec![1],
         receivers: vec![receiver],
     }

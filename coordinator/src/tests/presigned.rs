@@ -116,20 +116,20 @@ fn commit(c: &Arc<Coordinator>, staged: &Staged, digest: Digest) -> Result<(), R
 fn an_output_that_was_written_counts_when_it_was_checked() {
     let farm = Farm::new();
     let (c, bytes) = (&farm.c, output(&farm.grants[0], &[0]));
-    let (of, digest) = (
+    let (upload, digest) = (
         staged(farm.grants[0].lease, &bytes),
         *blake3::hash(&bytes).as_bytes(),
     );
     // Nothing is there yet.
-    let none = commit(c, &of, digest).unwrap_err();
+    let none = commit(c, &upload, digest).unwrap_err();
     assert!(
         matches!(&none, ResultError::Unstaged(_)) && none.to_string().contains("send it"),
         "{none}"
     );
-    write(&commit::address(c, &of).unwrap().unwrap(), &bytes);
+    write(&commit::address(c, &upload).unwrap().unwrap(), &bytes);
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (1, false));
     let written = c.blobs.carried().unwrap().written;
-    commit(c, &of, digest).unwrap();
+    commit(c, &upload, digest).unwrap();
     assert_eq!(
         c.blobs.carried().unwrap().written,
         written,
@@ -139,7 +139,7 @@ fn an_output_that_was_written_counts_when_it_was_checked() {
     assert_eq!(farm.staged(), 0);
     // The same again, after the answer was lost: the worker sends it.
     assert!(matches!(
-        commit(c, &of, digest),
+        commit(c, &upload, digest),
         Err(ResultError::Unstaged(_))
     ));
 }
@@ -155,30 +155,36 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
             ..CellSet::default()
         },
     );
-    let of = staged(lease, &unreached);
-    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
+    let upload = staged(lease, &unreached);
+    write(&commit::address(c, &upload).unwrap().unwrap(), &unreached);
     // Under another digest, and as what it is.
-    assert!(matches!(commit(c, &of, [7; 32]), Err(ResultError::Digest)));
+    assert!(matches!(
+        commit(c, &upload, [7; 32]),
+        Err(ResultError::Digest)
+    ));
     assert_eq!(farm.staged(), 0);
-    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
+    write(&commit::address(c, &upload).unwrap().unwrap(), &unreached);
     let digest = *blake3::hash(&unreached).as_bytes();
     assert!(matches!(
-        commit(c, &of, digest),
+        commit(c, &upload, digest),
         Err(ResultError::Output(OutputError::Viewpoints))
     ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Other bytes than were signed, which this store refuses and keeps all the same.
     let others: Vec<u8> = unreached.iter().map(|byte| byte ^ 1).collect();
     assert_eq!(
-        put(&commit::address(c, &of).unwrap().unwrap(), &others),
+        put(&commit::address(c, &upload).unwrap().unwrap(), &others),
         400
     );
     assert_eq!(farm.staged(), 1);
-    assert!(matches!(commit(c, &of, digest), Err(ResultError::Digest)));
+    assert!(matches!(
+        commit(c, &upload, digest),
+        Err(ResultError::Digest)
+    ));
     assert_eq!((farm.staged(), c.blobs.has(&digest).unwrap()), (0, false));
     // Longer than announced: it is read no further than that.
-    write(&commit::address(c, &of).unwrap().unwrap(), &unreached);
-    let shorter = Staged { bytes: 3, ..of };
+    write(&commit::address(c, &upload).unwrap().unwrap(), &unreached);
+    let shorter = Staged { bytes: 3, ..upload };
     assert!(matches!(
         commit(c, &shorter, digest),
         Err(ResultError::Unstaged(_))
@@ -189,10 +195,10 @@ fn what_is_not_the_tiles_output_is_refused_and_removed() {
 fn only_who_holds_a_tile_may_write_and_one_output_alone() {
     let farm = Farm::new();
     let (c, lease) = (&farm.c, farm.grants[0].lease);
-    let of = staged(lease, b"an output");
-    assert!(commit::address(c, &of).unwrap().is_some());
+    let upload = staged(lease, b"an output");
+    assert!(commit::address(c, &upload).unwrap().is_some());
     assert!(
-        commit::address(c, &of).unwrap().is_some(),
+        commit::address(c, &upload).unwrap().is_some(),
         "the answer may have been lost"
     );
     assert!(
@@ -221,7 +227,7 @@ fn only_who_holds_a_tile_may_write_and_one_output_alone() {
             c,
             &Staged {
                 bytes: u64::MAX,
-                ..of
+                ..upload
             }
         )
         .unwrap()

@@ -59,13 +59,13 @@ fn ended(c: &Arc<Coordinator>, scene: Digest, seed: u64) -> JobId {
 /// Returns the events about pauses of retention.
 fn pauses(c: &Coordinator) -> Vec<String> {
     retention_stamp::record(c);
-    let (events, _) = c.chronicle.after(None, 0, usize::MAX);
-    let of = |text: &String| text.contains("the wall clock stepped");
+    let (events, _) = c.event_log.after(None, 0, usize::MAX);
+    let reports_clock_step = |text: &String| text.contains("the wall clock stepped");
     events
         .into_iter()
         .filter(|e| e.what.kind == Kind::Coordinator)
         .map(|e| e.what.text)
-        .filter(of)
+        .filter(reports_clock_step)
         .collect()
 }
 

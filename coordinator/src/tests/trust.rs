@@ -479,7 +479,7 @@ fn a_deleted_job_takes_its_scene_along_unless_others_need_it() {
 #[test]
 fn wrong_records_remove_no_blob() {
     let blobs = MemoryBlobs::new();
-    let of = |store: MemoryStore| {
+    let coordinator_with = |store: MemoryStore| {
         let clock = Box::new(Arc::new(ManualClock::default()));
         let c = Coordinator::new(
             Leases::default(),
@@ -496,11 +496,11 @@ fn wrong_records_remove_no_blob() {
         };
         Arc::new(c)
     };
-    let right = of(MemoryStore::new());
+    let right = coordinator_with(MemoryStore::new());
     let scene = right.take_scene(&scene()).unwrap();
     let chunk = blobs.put(b"a chunk of an upload that was left").unwrap();
     // Another store's records, such as the records of a wrong data directory, name none of the blobs.
-    tidy_up(&of(MemoryStore::new()));
+    tidy_up(&coordinator_with(MemoryStore::new()));
     assert!(blobs.has(&scene).unwrap() && blobs.has(&chunk).unwrap());
     // The store that the blobs belong to still removes unreferenced ones.
     tidy_up(&right);

@@ -63,12 +63,12 @@ impl Uploads {
         // The files are inspected without the lock.
         let old: Vec<(String, Digest)> = {
             let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            let of = |(owner, own): (&String, &Chunks)| {
+            let old_chunks_of = |(owner, own): (&String, &Chunks)| {
                 let old = own.of.iter().filter(|(_, sent)| sent.at.elapsed() >= grace);
                 old.map(|(chunk, _)| (owner.clone(), *chunk))
                     .collect::<Vec<_>>()
             };
-            all.iter().flat_map(of).collect()
+            all.iter().flat_map(old_chunks_of).collect()
         };
         for (owner, chunk) in old.into_iter().filter(|(_, chunk)| !is_stored(chunk)) {
             self.forget(&owner, &[chunk]);

@@ -168,14 +168,14 @@ mod tests {
             ..RetentionStamp::default()
         };
         stamp.jobs.begun_ms = 5;
-        let of = |stamp: &RetentionStamp| Entry {
+        let encoded = |stamp: &RetentionStamp| Entry {
             value: encode(&key, stamp).unwrap(),
             key: key.clone(),
         };
-        entry(&of(&stamp)).unwrap();
+        entry(&encoded(&stamp)).unwrap();
         stamp.blobs.begun_ms = 6;
         assert!(matches!(
-            entry(&of(&stamp)),
+            entry(&encoded(&stamp)),
             Err(StoreError::Foreign { .. })
         ));
         stamp.blobs.begun_ms = 5;
@@ -184,7 +184,7 @@ mod tests {
             doubt_ms: 0,
         });
         assert!(matches!(
-            entry(&of(&stamp)),
+            entry(&encoded(&stamp)),
             Err(StoreError::Foreign { .. })
         ));
     }

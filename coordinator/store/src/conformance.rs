@@ -812,7 +812,7 @@ fn a_view_that_lost_or_changed_an_entry_is_rebuilt() {
 fn a_scene_belongs_to_all_who_have_sent_it() {
     let directory = tempfile::tempdir().unwrap();
     let longest = |n: usize| format!("{n:0>32}");
-    let of = |n: usize, triangles| SceneRecord {
+    let scene_sent_by = |n: usize, triangles| SceneRecord {
         digest: digest(0),
         bytes: 5,
         triangles,
@@ -821,16 +821,16 @@ fn a_scene_belongs_to_all_who_have_sent_it() {
     };
     {
         let store = SledStore::open(directory.path()).unwrap();
-        (0..MAX_OWNERS).for_each(|n| store.record_scene(of(n, 10)).unwrap());
+        (0..MAX_OWNERS).for_each(|n| store.record_scene(scene_sent_by(n, 10)).unwrap());
         assert!(matches!(
-            store.record_scene(of(MAX_OWNERS, 10)),
+            store.record_scene(scene_sent_by(MAX_OWNERS, 10)),
             Err(StoreError::TooLong { .. })
         ));
         assert!(matches!(
-            store.record_scene(of(0, 11)),
+            store.record_scene(scene_sent_by(0, 11)),
             Err(StoreError::SceneDiffers { .. })
         ));
-        store.record_scene(of(0, 10)).unwrap();
+        store.record_scene(scene_sent_by(0, 10)).unwrap();
     }
     let known = SledStore::open(directory.path())
         .unwrap()

@@ -41,7 +41,7 @@ impl Blockers {
     /// When the scene has more corners than can be numbered, or alpha textures have too many texels on it.
     pub fn new(scene: &Scene, joined: Option<&Self>) -> Result<Self, SceneError> {
         let (mut corners, mut polygons) = (Vec::new(), Vec::new());
-        let mut of = vec![None; scene.triangles().len()];
+        let mut surfaces = vec![None; scene.triangles().len()];
         let mut add = |outline: &[Vec3], triangle: u32, surface: u32| {
             let first = corners.len() as u32;
             let n = outline.len();
@@ -58,12 +58,12 @@ impl Blockers {
             });
         };
         if let Some(joined) = joined {
-            of.clone_from(&joined.of);
+            surfaces.clone_from(&joined.of);
             for t in (0..scene.len()).filter(|t| scene.blocks(*t)) {
                 add(
                     &scene.triangles()[t as usize].v,
                     t,
-                    of[t as usize].unwrap_or(MASKED | t),
+                    surfaces[t as usize].unwrap_or(MASKED | t),
                 );
             }
         } else {
@@ -72,7 +72,7 @@ impl Blockers {
                 let occluder = occluders.occluder(OccluderId(id));
                 add(&occluder.outline(), occluder.triangles[0].triangle, id);
             }
-            for (t, surface) in of.iter_mut().enumerate() {
+            for (t, surface) in surfaces.iter_mut().enumerate() {
                 *surface = occluders.of(t as u32).map(|id| id.0);
             }
         }
@@ -90,7 +90,7 @@ impl Blockers {
                     "leave --alpha-textures out, or use smaller textures",
                 ));
             };
-            of[t as usize] = Some(MASKED | t);
+            surfaces[t as usize] = Some(MASKED | t);
             for polygon in found {
                 let first = corners.len() as u32;
                 corners.extend(&polygon);
@@ -119,7 +119,7 @@ impl Blockers {
             bvh: Bvh::new(boxes, order),
             corners,
             polygons,
-            of,
+            of: surfaces,
         })
     }
 

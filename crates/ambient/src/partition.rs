@@ -358,7 +358,7 @@ impl Partition {
     ) -> u32 {
         let (whole, front) = (items.face(face), pending.front);
         // What a face hides from nearer by needs no look (`depthCulling`).
-        let of = |face: (u32, bool), class| Undefined {
+        let undefined_before = |face: (u32, bool), class| Undefined {
             list: Rc::clone(&leaf.list),
             pending: Some(Pending {
                 before: Some(face),
@@ -371,23 +371,23 @@ impl Partition {
             return if whole.within {
                 self.push(Node::Met(face))
             } else {
-                let beyond = self.leaf(of((face, front), None));
+                let beyond = self.leaf(undefined_before((face, front), None));
                 self.push(Node::Near { face, beyond })
             };
         }
         let this = (face, front);
         let Some(other) = leaf.class else {
-            return self.leaf(of(this, Some(this)));
+            return self.leaf(undefined_before(this, Some(this)));
         };
         if is_behind(whole, front, items.corners(items.face(other.0).item)) {
-            return self.leaf(of(this, Some(this)));
+            return self.leaf(undefined_before(this, Some(this)));
         }
         if is_behind(items.face(other.0), other.1, items.corners(pending.item)) {
-            return self.leaf(of(other, Some(other)));
+            return self.leaf(undefined_before(other, Some(other)));
         }
         let (one, two) = (
-            self.leaf(of(this, Some(this))),
-            self.leaf(of(other, Some(other))),
+            self.leaf(undefined_before(this, Some(this))),
+            self.leaf(undefined_before(other, Some(other))),
         );
         self.push(Node::Order {
             faces: [face, other.0],

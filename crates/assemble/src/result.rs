@@ -144,8 +144,11 @@ pub fn write<O: Outputs>(
                 builder.push_certificate(evidence)?;
             }
             if task.has_contributions() {
-                let of = contributions(cell, if aside { all.len() } else { cell.visible.len() });
-                builder.push_contributions(&of.ok_or_else(|| wrong("it lacks contributions"))?)?;
+                let cell_contributions =
+                    contributions(cell, if aside { all.len() } else { cell.visible.len() });
+                builder.push_contributions(
+                    &cell_contributions.ok_or_else(|| wrong("it lacks contributions"))?,
+                )?;
             }
             statistics.push(cell);
         }
@@ -241,13 +244,13 @@ fn contributions(cell: &CellSet, items: usize) -> Option<Vec<Contribution>> {
         return Some(vec![Contribution::new(0.0, 0.0); items]);
     };
     let all = f64::from(hits.viewpoints) * f64::from(hits.lines);
-    let of = |[hit, most]: &[u32; 2]| {
+    let to_contribution = |[hit, most]: &[u32; 2]| {
         Contribution::new(
             f64::from(*hit) / all,
             f64::from(*most) / f64::from(hits.lines),
         )
     };
-    (hits.counts.len() == items).then(|| hits.counts.iter().map(of).collect())
+    (hits.counts.len() == items).then(|| hits.counts.iter().map(to_contribution).collect())
 }
 
 /// Returns the boxes of a subtree's cells, in preorder.

@@ -38,7 +38,7 @@ pub fn run(
         .of_tile(number)
         .ok_or_else(|| wrong("the plan has no such tile"))?;
     let prepared = scene.ambient().map_err(BakeError::Tile)?;
-    let settings = settings(&receivers.asked).map_err(|reason| wrong(&reason))?;
+    let settings = settings(&receivers.settings).map_err(|reason| wrong(&reason))?;
     let solver = Solver::new(prepared, settings);
     let answers: Vec<Option<Vec<Answer>>> = blocks
         .par_iter()
@@ -81,23 +81,23 @@ fn receiver(r: &receivers::Receiver) -> Receiver {
     }
 }
 
-/// What the solver is asked for.
-fn settings(asked: &receivers::Asked) -> Result<Settings, String> {
+/// Converts the settings of receivers to the settings of the solver.
+fn settings(wanted: &receivers::ReceiverSettings) -> Result<Settings, String> {
     let light = |(k, corners): (usize, &Vec<[f64; 3]>)| {
         Light::new(corners).map_err(|e| format!("light {k}: {e}"))
     };
     Ok(Settings {
-        falloff: match asked.falloff {
+        falloff: match wanted.falloff {
             receivers::Falloff::None => Falloff::None,
             receivers::Falloff::Sqrt => Falloff::Sqrt,
         },
-        lights: asked
+        lights: wanted
             .lights
             .iter()
             .enumerate()
             .map(light)
             .collect::<Result<_, _>>()?,
-        ..Settings::new(asked.distance)
+        ..Settings::new(wanted.distance)
     })
 }
 
@@ -105,15 +105,15 @@ fn settings(asked: &receivers::Asked) -> Result<Settings, String> {
 fn openness(answers: &[Answer], numbers: u32) -> Result<Openness, BakeError> {
     let (mut values, mut bound) = (Vec::with_capacity(answers.len() * numbers as usize), 0.0f64);
     for (at, answer) in answers.iter().enumerate() {
-        let of = std::iter::once(answer.openness.open).chain(answer.lights.iter().copied());
-        let all = of.clone().all(f64::is_finite) && answer.openness.bound.is_finite();
-        if !all || of.clone().count() != numbers as usize {
+        let fractions = std::iter::once(answer.openness.open).chain(answer.lights.iter().copied());
+        let all = fractions.clone().all(f64::is_finite) && answer.openness.bound.is_finite();
+        if !all || fractions.clone().count() != numbers as usize {
             return Err(BakeError::Tile(format!(
                 "receiver {at} of the tile has no answer in numbers"
             )));
         }
         // Rounding can leave the range by less than the bound.
-        values.extend(of.map(|x| (x as f32).clamp(0.0, 1.0)));
+        values.extend(fractions.map(|x| (x as f32).clamp(0.0, 1.0)));
         bound = bound.max(answer.openness.bound);
     }
     Ok(Openness {

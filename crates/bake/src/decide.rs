@@ -11,8 +11,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use sightline_certificate::{CellCertificate, GroupCertificate, HiddenBox, codec};
 use sightline_exact::{
-    Cell, CellGroup as GroupTask, ExactScene, GroupDecided, Places, QueryStatistics, Task, decide,
-    decide_group,
+    Cell, CellGroup as GroupTask, ExactScene, ExactViewRegion, GroupDecided, QueryStatistics, Task,
+    decide, decide_group,
 };
 use sightline_model::{CellSet, CellSets, Decision, DecisionStats};
 use sightline_numbers::Aabb;
@@ -35,7 +35,7 @@ use crate::groups::{CellGroup, cells_and_groups};
 /// [`Undecided`] when the tile is cancelled, or for an error of the certificates' codec or a cell without
 /// volume.
 pub fn cells(
-    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
+    (deciding, places): (&Deciding<'_>, Option<&dyn ExactViewRegion>),
     root: &CellBox,
     sets: &mut CellSets,
     (scene, partition, is_open): (&ExactScene, Option<&Partition>, bool),
@@ -121,7 +121,7 @@ pub fn cells(
 }
 
 fn cell(
-    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
+    (deciding, places): (&Deciding<'_>, Option<&dyn ExactViewRegion>),
     (at, around): (&CellBox, &Around),
     set: &mut CellSet,
     scene: &ExactScene,
@@ -187,10 +187,11 @@ fn cell(
 /// differences of single-precision numbers have relative errors of a few units in the last place of a double,
 /// which the factor more than covers.
 pub fn is_within(scene: &ExactScene, id: u32, (min, max): (Vec3, Vec3), far: f64) -> bool {
-    let of = Aabb::around(*scene.occluders().triangle(id));
+    let bounds = Aabb::around(*scene.occluders().triangle(id));
     let apart = (0..3).map(|a| {
-        let gap = f64::from(of.min[a]) - f64::from(max[a]);
-        gap.max(f64::from(min[a]) - f64::from(of.max[a])).max(0.0)
+        let gap = f64::from(bounds.min[a]) - f64::from(max[a]);
+        gap.max(f64::from(min[a]) - f64::from(bounds.max[a]))
+            .max(0.0)
     });
     apart.map(|gap| gap * gap).sum::<f64>() <= far * far * (1.0 + 1e-12)
 }
@@ -245,7 +246,7 @@ fn all_listed(
 
 /// Finds the triangles that are hidden from the box around each cell group.
 fn groups_first(
-    (deciding, places): (&Deciding<'_>, Option<&dyn Places>),
+    (deciding, places): (&Deciding<'_>, Option<&dyn ExactViewRegion>),
     (cells, groups): (&[CellBox], &[CellGroup]),
     (sets, listed): (&CellSets, &[Option<Vec<u32>>]),
     scene: &ExactScene,

@@ -22,7 +22,7 @@ use crate::groups::cells_and_groups;
 use crate::outcome::{BakeError, Control, TileDone, tile_error};
 use crate::scene::BakeScene;
 use crate::scope::TileScope;
-use crate::within::Within;
+use crate::within::JobRegion;
 
 /// Computes tile `number` of a job of the method portals.
 ///
@@ -40,7 +40,7 @@ pub fn run(
 ) -> Result<TileDone, BakeError> {
     let scope = TileScope::new(job, task, number)?;
     let (tile, lattice) = (&scope.tile, &scope.lattice);
-    let within = Within::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
+    let within = JobRegion::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
     let sets = empty_cells(&scope);
     let (boxes, _) = cells_and_groups(&tile.cell, &sets.nodes);
     let watcher = control.watcher;
@@ -51,7 +51,7 @@ pub fn run(
         made => Some(made.map_err(tile_error)?),
     };
     let exact = scene.exact().map_err(BakeError::Tile)?;
-    let places = within.as_ref().map(Within::places);
+    let places = within.as_ref().map(JobRegion::places);
     let faces = scope
         .is_open
         .then(|| OpenFaces::new(scene.scene(), scope.view_box, places));

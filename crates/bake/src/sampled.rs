@@ -17,7 +17,7 @@ use crate::deciding::Deciding;
 use crate::inputs::{Inputs, PackBytes};
 use crate::outcome::tile_error;
 use crate::scope::TileScope;
-use crate::within::Within;
+use crate::within::JobRegion;
 use crate::{BakeError, Control, PackDigest, TileDone, groups, portals};
 
 /// Computes tile `number` of a job.
@@ -46,7 +46,7 @@ pub fn run(
     // The members of the crew decide the cells as well.
     let decides = exact.is_some() && control.deadline.is_none();
     let decided_later = Open(control.crew);
-    let places = Within::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
+    let places = JobRegion::of(task.viewpoints(), scene.scene()).map_err(tile_error)?;
     let context = JobContext {
         scene: scene.sampling(),
         division: scope.division.clone(),
@@ -99,7 +99,7 @@ pub fn run(
     if let (Some(effort), TileOutput::Cells(sets)) = (exact, &mut output) {
         let prepared = scene.exact().map_err(BakeError::Tile)?;
         let with = (control.deadline, watcher, control.crew);
-        let within = places.as_ref().map(Within::places);
+        let within = places.as_ref().map(JobRegion::places);
         let faces = scope
             .is_open
             .then(|| OpenFaces::new(scene.scene(), scope.view_box, within));
@@ -118,9 +118,9 @@ pub fn run(
         if task.has_portals() && number == 0 {
             sets.portals = portals::encoded(partition.as_deref(), scene.scene());
         }
-        let of = (prepared, partition.as_deref(), scope.is_open);
+        let exact_inputs = (prepared, partition.as_deref(), scope.is_open);
         let deciding = Deciding::new(task, effort, &scope);
-        decide::cells((&deciding, within), &tile.cell, sets, of, with)?;
+        decide::cells((&deciding, within), &tile.cell, sets, exact_inputs, with)?;
         if watcher.cancelled() {
             return Err(BakeError::Cancelled);
         }

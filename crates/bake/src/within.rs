@@ -7,9 +7,9 @@ use sightline_portals::{ForeignRegion, Reached};
 use sightline_scene::Scene;
 
 /// The region of a job.
-pub struct Within(Reached);
+pub struct JobRegion(Reached);
 
-impl Within {
+impl JobRegion {
     /// Prepares the region of a job with its planes; `None` when viewpoints are not restricted to one.
     ///
     /// # Errors
@@ -22,12 +22,12 @@ impl Within {
     }
 
     /// The region for exact queries.
-    pub fn places(&self) -> &dyn sightline_exact::Places {
+    pub fn places(&self) -> &dyn sightline_exact::ExactViewRegion {
         &self.0
     }
 }
 
-impl sightline_sample::Places for Within {
+impl sightline_sample::ViewRegion for JobRegion {
     fn hold(&self, point: Vec3) -> bool {
         self.0.holds(point)
     }

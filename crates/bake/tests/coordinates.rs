@@ -124,19 +124,19 @@ fn sets(scene: &Arc<Scene>, method: Method) -> Option<Vec<Vec<u32>>> {
 #[test]
 fn scenes_of_all_sizes_have_their_sets() {
     // Coordinates up to 5.4e8, and a width of 1.9e-9.
-    let of = |power, method: fn(&Scene) -> Method| {
+    let sets_at = |power, method: fn(&Scene) -> Method| {
         let scene = scaled(power);
         sets(&scene, method(&scene))
     };
-    let Some(decided) = of(0, exact) else {
+    let Some(decided) = sets_at(0, exact) else {
         return;
     };
-    let by_portals = of(0, portals).unwrap();
+    let by_portals = sets_at(0, portals).unwrap();
     for power in [0, 29, -28] {
-        assert_eq!(of(power, exact).unwrap(), decided, "2^{power}");
-        assert_eq!(of(power, portals).unwrap(), by_portals, "2^{power}");
+        assert_eq!(sets_at(power, exact).unwrap(), decided, "2^{power}");
+        assert_eq!(sets_at(power, portals).unwrap(), by_portals, "2^{power}");
         // Samples are drawn by the digest of the scene, so that each size has others.
-        for (sampled, exact) in of(power, aggressive).unwrap().iter().zip(&decided) {
+        for (sampled, exact) in sets_at(power, aggressive).unwrap().iter().zip(&decided) {
             let strange: Vec<_> = sampled
                 .iter()
                 .filter(|id| exact.binary_search(id).is_err())

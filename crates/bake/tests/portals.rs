@@ -18,7 +18,7 @@ use common::Quiet;
 use cpu::cpu;
 use glam::Vec3;
 use sightline_bake::{Alone, BakeScene, Control, Inputs, run};
-use sightline_exact::{Cell, ExactScene, Places, Task, decide};
+use sightline_exact::{Cell, ExactScene, ExactViewRegion, Task, decide};
 use sightline_model::{
     CellSet, DecisionStats, Effort, GridCells, JobSpec, KnownCells, Method, PlannedJob, Sampler,
     Sampling, TileOutput, codec,
@@ -123,19 +123,19 @@ fn without_time_everything_may_be_seen() {
     for cell in cells(&by_portals(&scene, Some(past)), &scene) {
         let decision = cell.decision.unwrap();
         let counts = DecisionStats::NAMES.iter().zip(&decision.counts);
-        let of = |wanted: &str| {
+        let count_of = |wanted: &str| {
             counts
                 .clone()
                 .find(|(name, _)| **name == wanted)
                 .map_or(0, |(_, n)| *n)
         };
         // Closed surfaces hide without portals.
-        assert_eq!(of("exact_hidden"), of("exact_enclosed"));
+        assert_eq!(count_of("exact_hidden"), count_of("exact_enclosed"));
         assert_eq!(
-            cell.visible.len() as u64 + of("exact_hidden"),
+            cell.visible.len() as u64 + count_of("exact_hidden"),
             u64::from(scene.len())
         );
-        assert!(!decision.undecided.is_empty() && of("undecided_stopped") > 0);
+        assert!(!decision.undecided.is_empty() && count_of("undecided_stopped") > 0);
     }
 }
 
@@ -201,7 +201,7 @@ fn walls_in_the_faces_of_cells_hide_the_same_with_and_without_portals() {
                 decide(&Task {
                     scene: &prepared,
                     cell: Cell::new(min, max).unwrap(),
-                    places: within.map(|_| &places as &dyn Places),
+                    places: within.map(|_| &places as &dyn ExactViewRegion),
                     seen: &[],
                     above: &[],
                     listed,

@@ -325,8 +325,9 @@ impl Verification<'_> {
                 // sample that relies on it.
                 Claim::Shared(_) => (&proofs, wanted.is_none()),
                 Claim::Above(at) => {
-                    let of = above.and_then(|shared| shared.hidden.get(at));
-                    let take = wanted.is_some_and(|w| of.is_some_and(|group| any(group, w)));
+                    let shared_group = above.and_then(|shared| shared.hidden.get(at));
+                    let take =
+                        wanted.is_some_and(|w| shared_group.is_some_and(|group| any(group, w)));
                     if take {
                         group_claims
                             .lock()
@@ -372,7 +373,12 @@ impl Verification<'_> {
         out.totals.certificates = count(proofs);
         out.totals.meeting = count(meeting);
         out.totals.apart = count(boxes);
-        out.apart = certificates.own.apart.iter().map(|of| of.bounds).collect();
+        out.apart = certificates
+            .own
+            .apart
+            .iter()
+            .map(|hidden_box| hidden_box.bounds)
+            .collect();
         Ok(out)
     }
 }

@@ -55,8 +55,8 @@ mod search;
 mod surfaces;
 
 pub use cells::{
-    CellGroup, Decided, ExactScene, Found, GroupDecided, Places, QueryStatistics, Sources, Task,
-    box_from_cell, decide, decide_group, decide_listed, from_cell,
+    CellGroup, Decided, ExactScene, ExactViewRegion, Found, GroupDecided, QueryStatistics, Sources,
+    Task, box_from_cell, decide, decide_group, decide_listed, from_cell,
 };
 pub use geometry::{Cell, Polygon, PolygonError, Source, polygon, predicates};
 pub use line_space::Decisions;

@@ -182,18 +182,21 @@ proptest! {
             })
             .collect();
         let cell = unit(0.0, 0.0, 0.0);
-        let of = unit(unit_f(-2.0, 2.0), unit_f(-2.0, 2.0), 4.0);
+        let target = unit(unit_f(-2.0, 2.0), unit_f(-2.0, 2.0), 4.0);
         let point = |b: &Aabb, f: &mut dyn FnMut(f32, f32) -> f32| {
             Vec3::from([0, 1, 2].map(|a| f(b.min[a], b.max[a])))
         };
         let free = (0..3000).any(|_| {
-            let (a, b) = (point(&cell, &mut unit_f), point(&of, &mut unit_f));
+            let (a, b) = (point(&cell, &mut unit_f), point(&target, &mut unit_f));
             !blocked(&triangles, a, b)
         });
-        match ask(&triangles, cell, of) {
+        match ask(&triangles, cell, target) {
             Some(Found::Hidden(proofs)) => {
                 prop_assert!(!free);
-                prop_assert_eq!(check(&triangles, cell, HiddenBox { bounds: of, proofs }), Ok(()));
+                prop_assert_eq!(
+                    check(&triangles, cell, HiddenBox { bounds: target, proofs }),
+                    Ok(())
+                );
             }
             Some(Found::Visible(_)) => {}
             other => prop_assert!(false, "{other:?}"),

@@ -309,14 +309,14 @@ proptest! {
         let scene = exact_scene(&triangles);
         let cells = cells(Aabb::new(point(corner), point(corner) + 2.0 * point(size)));
         let guesses: Vec<u32> = (0..triangles.len() as u32).filter(|t| guess >> t & 1 == 1).collect();
-        let of = |k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] };
-        let seen: Vec<&[u32]> = (0..8).map(of).collect();
-        let (hidden, of) = shared(&scene, &cells, &seen, &|| false);
+        let guesses_for = |k| if k == guess as usize % 8 { guesses.as_slice() } else { &[] };
+        let seen: Vec<&[u32]> = (0..8).map(guesses_for).collect();
+        let (hidden, group) = shared(&scene, &cells, &seen, &|| false);
         for (cell, seen) in cells.iter().zip(seen) {
             let d = below(&scene, *cell, seen, &hidden);
             prop_assert!(d.undecided.is_empty());
             prop_assert_eq!(&d.visible, &solve(&scene, *cell, seen, &|| false).visible);
-            if let Err(e) = check(&triangles, *cell, &d, &d.certificate, Some(&of)) {
+            if let Err(e) = check(&triangles, *cell, &d, &d.certificate, Some(&group)) {
                 return Err(TestCaseError::fail(e.to_string()));
             }
         }

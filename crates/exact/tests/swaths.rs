@@ -89,11 +89,14 @@ fn edges_along_three_lines_of_a_hyperbolic_paraboloid_have_its_quadric() {
     let lower = |edges: &Vec<[usize; 2]>| edges.iter().all(|e| e[1] == 0);
     let (q, _) = quadrics.iter().find(|(_, edges)| lower(edges)).unwrap();
     let scale = 0.5 / q[2];
-    let of = q.map(|c| c * scale);
+    let scaled = q.map(|c| c * scale);
     let wanted = [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0, -thin];
     assert!(
-        of.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12),
-        "{of:?}"
+        scaled
+            .iter()
+            .zip(wanted)
+            .all(|(a, b)| (a - b).abs() < 1e-12),
+        "{scaled:?}"
     );
 }
 
@@ -145,8 +148,11 @@ proptest! {
             prop_assert_eq!([v, e, f2], [9, 18, 15]);
         } else {
             prop_assert_eq!(2 * e, 5 * v);
-            let of = |f: usize| 10 + 6 * (f - 5) + 4 * (v / 2 + 4 - f);
-            prop_assert!((6..=3 * n).any(|f| v / 2 + 4 >= f && of(f) == f2), "{v} vertices, {f2} 2-faces");
+            let two_faces = |f: usize| 10 + 6 * (f - 5) + 4 * (v / 2 + 4 - f);
+            prop_assert!(
+                (6..=3 * n).any(|f| v / 2 + 4 >= f && two_faces(f) == f2),
+                "{v} vertices, {f2} 2-faces"
+            );
         }
         prop_assert_eq!(found.swaths.len(), 2 * found.lines);
         let boundary: Vec<_> = found.swaths.iter().filter(|s| s.is_boundary).collect();

@@ -178,8 +178,8 @@ impl<'a> GltfFile<'a> {
         });
         let mut all = vec![(JSON, json.as_bytes())];
         for (number, (kind, bytes)) in chunks.iter().enumerate() {
-            let of = longer.as_ref().filter(|(changed, _)| *changed == number);
-            all.push((*kind, of.map_or(*bytes, |(_, longer)| longer)));
+            let replacement = longer.as_ref().filter(|(changed, _)| *changed == number);
+            all.push((*kind, replacement.map_or(*bytes, |(_, longer)| longer)));
         }
         glb::join(&all).map_err(|_| GltfError::TooLarge)
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use sightline_numbers::random::SplitMix64;
 use sightline_pvs::{Pvs, PvsError};
 use sightline_trace::packet::{LANES, Packet};
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 
 use crate::error::MeasureError;
 
@@ -35,7 +35,7 @@ pub struct PairReport {
 /// [`MeasureError::Pvs`] when the result does not say which cells see which, [`MeasureError::Backend`] when
 /// the tracer fails.
 pub fn measure_pairs(
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     pvs: &Pvs,
     count: u64,
     seed: u64,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use sightline_scene::Scene;
 use sightline_trace::SKY;
 use sightline_trace::packet::{LANES, Packet};
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 
 use crate::camera::Camera;
 use crate::error::MeasureError;
@@ -46,14 +46,14 @@ pub struct Portrait<'a> {
 }
 
 impl Portrait<'_> {
-    /// The picture as a PNG. `step` is as for [`Sight::trace`].
+    /// Returns the picture as a PNG. `step` is as for [`SightLineTracer::trace`].
     ///
     /// # Errors
     /// [`MeasureError`] when the device fails.
     pub fn draw(
         &self,
         scene: &Scene,
-        sight: &Sight<'_>,
+        sight: &SightLineTracer<'_>,
         step: f32,
     ) -> Result<Vec<u8>, MeasureError> {
         let camera = self.camera(scene);
@@ -135,7 +135,11 @@ impl Portrait<'_> {
 }
 
 /// The triangle in each pixel, row by row from the top, or [`SKY`].
-fn traced(camera: &Camera, sight: &Sight<'_>, step: f32) -> Result<Vec<u32>, MeasureError> {
+fn traced(
+    camera: &Camera,
+    sight: &SightLineTracer<'_>,
+    step: f32,
+) -> Result<Vec<u32>, MeasureError> {
     let [wide, high] = camera.size();
     let eye = camera.eye().to_array();
     let rows: Result<Vec<Vec<u32>>, MeasureError> = (0..high.div_ceil(TILE))

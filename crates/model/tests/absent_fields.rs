@@ -213,11 +213,11 @@ fn descriptors() -> FileDescriptorSet {
 }
 
 fn message<'a>(set: &'a FileDescriptorSet, name: &str) -> &'a DescriptorProto {
-    let of = |message: &&DescriptorProto| format!(".sightline.v1.{}", message.name()) == name;
+    let is_named = |message: &&DescriptorProto| format!(".sightline.v1.{}", message.name()) == name;
     set.file
         .iter()
         .flat_map(|file| &file.message_type)
-        .find(of)
+        .find(is_named)
         .unwrap()
 }
 
@@ -250,15 +250,15 @@ impl Row {
     /// Finds the field.
     fn leaf(&self) -> Leaf {
         let set = descriptors();
-        let mut of = message(&set, ".sightline.v1.JobSpec");
+        let mut descriptor = message(&set, ".sightline.v1.JobSpec");
         let (mut path, mut found) = (Vec::new(), None);
         for name in self.path.split('.') {
-            let field = of.field.iter().find(|field| field.name() == name);
+            let field = descriptor.field.iter().find(|field| field.name() == name);
             let field = field.unwrap_or_else(|| panic!("{}: there is no field {name}", self.path));
             path.push(field.number() as u32);
-            found = Some((format!("{}.{name}", of.name()), field.clone()));
+            found = Some((format!("{}.{name}", descriptor.name()), field.clone()));
             if field.r#type() == Type::Message {
-                of = message(&set, field.type_name());
+                descriptor = message(&set, field.type_name());
             }
         }
         let (name, field) = found.unwrap();
@@ -372,7 +372,7 @@ fn defaults_depend_on_scene_and_bound() {
         glam::Vec3::ZERO,
         glam::Vec3::ONE,
     ));
-    let of = |triangles| {
+    let spec_for = |triangles| {
         let facts = SceneFacts {
             triangles,
             bounds,
@@ -381,8 +381,8 @@ fn defaults_depend_on_scene_and_bound() {
         JobSpec::from_message(&scene, &facts).unwrap()
     };
     // The scene is enough where its bounds are known.
-    assert_eq!(Ok(of(100)), read(&lines()));
-    assert_ne!(of(10_000_000), of(100));
+    assert_eq!(Ok(spec_for(100)), read(&lines()));
+    assert_ne!(spec_for(10_000_000), spec_for(100));
     let row = ROWS
         .iter()
         .find(|row| row.path.ends_with("max_error"))

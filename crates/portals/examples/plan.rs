@@ -87,7 +87,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .into_iter()
         .filter(|l| *l != OUTSIDE)
         .collect();
-    let of = (inside.len(), tree.len() - 1);
+    let leaf_counts = (inside.len(), tree.len() - 1);
     let answer = match found {
         Enclosure::Closed => "walls enclose the point",
         Enclosure::Leak(..) => "a way leads out",
@@ -95,8 +95,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     println!(
         "divide until {answer}: {} of {} leaves reached: {:.0} ms",
-        of.0,
-        of.1,
+        leaf_counts.0,
+        leaf_counts.1,
         milliseconds(start)
     );
 

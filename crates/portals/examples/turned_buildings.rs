@@ -16,9 +16,10 @@ fn main() {
     );
     for seed in 0..4 {
         for angle in [0.0, 0.5] {
-            let of = common::lists(seed, angle);
-            let [portals, exact] = [of.portals, of.exact].map(|sum| f64::from(sum as u32) / 12.0);
-            println!("{seed}, {angle}: {} {portals:.0} {exact:.0}", of.leaves);
+            let lists = common::lists(seed, angle);
+            let [portals, exact] =
+                [lists.portals, lists.exact].map(|sum| f64::from(sum as u32) / 12.0);
+            println!("{seed}, {angle}: {} {portals:.0} {exact:.0}", lists.leaves);
         }
     }
 }

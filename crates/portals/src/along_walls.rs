@@ -73,16 +73,16 @@ pub fn along_walls(
     while boxes < most
         && let Some((_, Reverse(node), inside)) = open.pop()
     {
-        let (of, depth) = (nodes[node].of, nodes[node].depth);
+        let (bounds, depth) = (nodes[node].of, nodes[node].depth);
         let wall = if depth < DEEP {
-            best(&walls, &inside, of, least)
+            best(&walls, &inside, bounds, least)
         } else {
             None
         };
-        let Some((axis, at)) = wall.or_else(|| middle(of, least)) else {
+        let Some((axis, at)) = wall.or_else(|| middle(bounds, least)) else {
             continue;
         };
-        let [mut below, mut above] = [of; 2];
+        let [mut below, mut above] = [bounds; 2];
         below.max[axis] = at;
         above.min[axis] = at;
         let children = [nodes.len(), nodes.len() + 1];
@@ -238,18 +238,21 @@ mod tests {
     #[test]
     fn walls_come_first_and_then_the_middle() {
         let cube = Aabb::new(Vec3::ZERO, Vec3::ONE);
-        let of = |most, is_used: &dyn Fn(Aabb) -> bool| {
+        let divide_cube = |most, is_used: &dyn Fn(Aabb) -> bool| {
             along_walls(&scene(), cube, most, is_used).parts()
         };
-        assert_eq!(of(1, &|_| true), (vec![3], vec![]));
-        assert_eq!(of(2, &|_| true), (vec![0, 3, 3], vec![0.25]));
+        assert_eq!(divide_cube(1, &|_| true), (vec![3], vec![]));
+        assert_eq!(divide_cube(2, &|_| true), (vec![0, 3, 3], vec![0.25]));
         // The larger box is halved, along y as its sides along y and z are the longest.
-        assert_eq!(of(3, &|_| true), (vec![0, 3, 1, 3, 3], vec![0.25, 0.5]));
         assert_eq!(
-            of(8, &|of| of.max.x <= 0.25 || of.min == Vec3::ZERO).1[0],
+            divide_cube(3, &|_| true),
+            (vec![0, 3, 1, 3, 3], vec![0.25, 0.5])
+        );
+        assert_eq!(
+            divide_cube(8, &|part| part.max.x <= 0.25 || part.min == Vec3::ZERO).1[0],
             0.25
         );
-        assert_eq!(of(8, &|_| false), (vec![3], vec![]));
+        assert_eq!(divide_cube(8, &|_| false), (vec![3], vec![]));
     }
 
     /// Floors of a tower that grows narrower: each is the best wall of what is left.

@@ -74,18 +74,18 @@ mod tests {
             count: 1,
         };
         let scene = Scene::new("wall", vec![wall], vec![object]).unwrap();
-        let of = |min: [f32; 3], max: [f32; 3]| Aabb::new(min.into(), max.into());
-        let beside = of([0.0; 3], [1.0; 3]);
+        let make_box = |min: [f32; 3], max: [f32; 3]| Aabb::new(min.into(), max.into());
+        let beside = make_box([0.0; 3], [1.0; 3]);
         assert_eq!(
             open_box(&scene, beside, 0.25),
-            of([0.25, 0.0, 0.0], [1.0; 3])
+            make_box([0.25, 0.0, 0.0], [1.0; 3])
         );
         // On the other side it is the greater face; beyond the wall's corner none.
-        let other = open_box(&scene, of([-1.0, 0.0, 0.0], [0.0, 1.0, 1.0]), 0.25);
-        assert_eq!(other, of([-1.0, 0.0, 0.0], [-0.25, 1.0, 1.0]));
-        let far = of([0.0, 2.0, 0.0], [1.0, 3.0, 1.0]);
+        let other = open_box(&scene, make_box([-1.0, 0.0, 0.0], [0.0, 1.0, 1.0]), 0.25);
+        assert_eq!(other, make_box([-1.0, 0.0, 0.0], [-0.25, 1.0, 1.0]));
+        let far = make_box([0.0, 2.0, 0.0], [1.0, 3.0, 1.0]);
         assert_eq!(open_box(&scene, far, 0.25), far);
-        let thin = of([0.0; 3], [0.125, 1.0, 1.0]);
+        let thin = make_box([0.0; 3], [0.125, 1.0, 1.0]);
         assert_eq!(open_box(&scene, thin, 0.25), thin);
     }
 }

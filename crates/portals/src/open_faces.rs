@@ -6,7 +6,7 @@
 use std::cmp::Ordering;
 
 use glam::Vec3;
-use sightline_exact::{Places, Polygon};
+use sightline_exact::{ExactViewRegion, Polygon};
 use sightline_geometry::predicates::orient2d_sign;
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
@@ -19,12 +19,12 @@ use crate::plane::{Face, Plane};
 pub struct OpenFaces<'a> {
     /// The axis, the level and the corners of each wall.
     walls: Vec<(usize, f32, [Vec3; 3])>,
-    within: Option<&'a dyn Places>,
+    within: Option<&'a dyn ExactViewRegion>,
 }
 
 impl<'a> OpenFaces<'a> {
     /// The faces of a box of a scene, with viewpoints `within` a part of space, or everywhere.
-    pub fn new(scene: &Scene, of: Aabb, within: Option<&'a dyn Places>) -> Self {
+    pub fn new(scene: &Scene, of: Aabb, within: Option<&'a dyn ExactViewRegion>) -> Self {
         let walls = walls_in_faces(scene, of);
         let with_corners = |(id, axis): (u32, usize)| {
             let v = scene.triangles()[id as usize].v;
@@ -37,7 +37,7 @@ impl<'a> OpenFaces<'a> {
     }
 }
 
-impl Places for OpenFaces<'_> {
+impl ExactViewRegion for OpenFaces<'_> {
     fn hold(&self, point: Vec3) -> bool {
         let is_on = |(axis, level, v): &(usize, f32, [Vec3; 3])| {
             let flat = |p: Vec3| [p[(axis + 1) % 3], p[(axis + 2) % 3]];

@@ -93,9 +93,9 @@ impl HalfSpace {
             return Some(Self::across(axis, up == is_above, level));
         }
         // Scaled first, so that no square overflows.
-        let of = plane.rounded();
-        let most = of[axis].abs();
-        let [a, b, c, k] = of.map(|x| x / most);
+        let coefficients = plane.rounded();
+        let most = coefficients[axis].abs();
+        let [a, b, c, k] = coefficients.map(|x| x / most);
         let length = DVec3::new(a, b, c).length();
         let turn = if is_above { 1.0 } else { -1.0 };
         // The coefficients are off by u of themselves, and the quotients by 3u more.

@@ -328,7 +328,7 @@ fn divide(
 /// The parts of the triangles that can be in a set, by leaf.
 fn parts(scene: &Scene, tree: &Tree, is_inside: &[bool]) -> Vec<Vec<Part>> {
     let wanted = above(tree, &|leaf| is_inside[leaf.0 as usize]);
-    let of = |triangle: u32| -> Vec<(LeafId, Part)> {
+    let clip_to_leaves = |triangle: u32| -> Vec<(LeafId, Part)> {
         let corners = scene.triangles()[triangle as usize].v.map(|v| v.as_dvec3());
         let Some(polygon) = Polygon::triangle(corners).filter(|_| scene.shows(triangle)) else {
             return Vec::new();
@@ -356,7 +356,10 @@ fn parts(scene: &Scene, tree: &Tree, is_inside: &[bool]) -> Vec<Vec<Part>> {
         }
         found
     };
-    let all: Vec<Vec<(LeafId, Part)>> = (0..scene.len()).into_par_iter().map(of).collect();
+    let all: Vec<Vec<(LeafId, Part)>> = (0..scene.len())
+        .into_par_iter()
+        .map(clip_to_leaves)
+        .collect();
     let mut parts: Vec<Vec<Part>> = (0..tree.len()).map(|_| Vec::new()).collect();
     for (leaf, part) in all.into_iter().flatten() {
         parts[leaf.0 as usize].push(part);

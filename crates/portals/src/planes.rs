@@ -22,7 +22,7 @@ impl Planes {
     pub fn new(scene: &Scene) -> Self {
         let mut known: FxHashMap<[IBig; 4], PlaneId> = FxHashMap::default();
         let (mut planes, mut triangles) = (Vec::new(), Vec::new());
-        let mut of = vec![None; scene.len() as usize];
+        let mut plane_ids = vec![None; scene.len() as usize];
         for id in by_place(scene).into_iter().filter(|id| divides(scene, *id)) {
             let plane = Plane::through(scene.triangles()[id as usize].v);
             let number = *known
@@ -32,12 +32,12 @@ impl Planes {
                     triangles.push(id);
                     PlaneId(planes.len() as u32 - 1)
                 });
-            of[id as usize] = Some(number);
+            plane_ids[id as usize] = Some(number);
         }
         Self {
             planes,
             triangles,
-            of,
+            of: plane_ids,
         }
     }
 

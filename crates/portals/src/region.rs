@@ -6,7 +6,7 @@
 use std::cmp::Ordering;
 
 use glam::{DVec3, Vec3};
-use sightline_exact::{Places, Polygon};
+use sightline_exact::{ExactViewRegion, Polygon};
 use sightline_numbers::Aabb;
 use sightline_scene::Scene;
 use sightline_viewcells::{Region, RegionError, RegionNode};
@@ -258,7 +258,7 @@ pub(crate) fn beside(plane: &Plane, (lesser, greater): (u32, u32), face: Face) -
         .collect()
 }
 
-impl Places for Reached {
+impl ExactViewRegion for Reached {
     fn hold(&self, point: Vec3) -> bool {
         self.holds(point)
     }

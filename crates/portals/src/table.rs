@@ -59,10 +59,12 @@ pub fn table(partition: &Partition) -> Portals {
     }
     for number in 0..tree.portals() as u32 {
         let portal = tree.portal(PortalId(number));
-        let of = |leaf: LeafId| leaves[leaf.0 as usize];
-        if let (Some(below), Some(above), Some(plane)) =
-            (of(portal.leaves[0]), of(portal.leaves[1]), portal.plane)
-        {
+        let leaf_number = |leaf: LeafId| leaves[leaf.0 as usize];
+        if let (Some(below), Some(above), Some(plane)) = (
+            leaf_number(portal.leaves[0]),
+            leaf_number(portal.leaves[1]),
+            portal.plane,
+        ) {
             let plane = number_of(partition, plane, &mut planes, &mut out.planes);
             let door = portal
                 .door

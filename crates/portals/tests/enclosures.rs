@@ -337,15 +337,15 @@ proptest! {
         }
         for (at, size) in spots {
             let min = Vec3::from(at);
-            let of = Aabb::new(min, min + Vec3::splat(size));
-            let inside: Vec<&Vec3> = known.iter().filter(|p| of.contains(**p)).collect();
-            prop_assert!(inside.is_empty() || region.meets(of), "the region meets {of:?}");
-            if let Some(point) = region.any_in(of) {
-                prop_assert!(region.meets(of) && region.holds(point) && of.contains(point));
+            let bounds = Aabb::new(min, min + Vec3::splat(size));
+            let inside: Vec<&Vec3> = known.iter().filter(|p| bounds.contains(**p)).collect();
+            prop_assert!(inside.is_empty() || region.meets(bounds), "the region meets {bounds:?}");
+            if let Some(point) = region.any_in(bounds) {
+                prop_assert!(region.meets(bounds) && region.holds(point) && bounds.contains(point));
             }
-            for face in sightline_exact::Polygon::faces_of(of) {
+            for face in sightline_exact::Polygon::faces_of(bounds) {
                 let parts = region.parts(&face);
-                prop_assert!(parts.is_empty() || region.meets(of));
+                prop_assert!(parts.is_empty() || region.meets(bounds));
                 for part in parts {
                     let middle = part.rounded().iter().sum::<glam::DVec3>() / part.points().len() as f64;
                     // Of a turned building, rounding may move the point over a wall.

@@ -108,16 +108,16 @@ fn the_order_of_the_triangles_changes_no_set() {
     }
     let other = common::scene(order.iter().map(|k| scene.triangles()[*k]).collect());
     for x in 0..5 {
-        let of = Aabb::new(
+        let cell = Aabb::new(
             Vec3::new(x as f32, 0.0, 0.0),
             Vec3::new(x as f32 + 0.7, 1.0, 2.0),
         );
-        let mut found: Vec<u32> = seen(&other, of)
+        let mut found: Vec<u32> = seen(&other, cell)
             .iter()
             .map(|id| order[*id as usize] as u32)
             .collect();
         found.sort_unstable();
-        assert_eq!(seen(&scene, of), found);
+        assert_eq!(seen(&scene, cell), found);
     }
 }
 
@@ -143,7 +143,7 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
         let Aabb { min, max } = rooms.bounds();
         // Two places in each room, at half its height.
         let places = (0..24).map(|k| Vec3::new((k % 8) as f32 + 0.5, 1.0, (k / 8) as f32 + 0.4));
-        let of = |place: Vec3| {
+        let count_seen = |place: Vec3| {
             let middle = turned(min + (max - min) * place / Vec3::new(8.0, 2.0, 3.0));
             sights(
                 &partition,
@@ -154,7 +154,7 @@ fn turned_walls_hide_nearly_as_much_as_straight_ones() {
             .unwrap()
             .len()
         };
-        places.map(of).sum()
+        places.map(count_seen).sum()
     };
     let straight = drawn(0.0);
     // Otherwise nothing could be drawn that is a quarter more.
@@ -261,8 +261,8 @@ fn a_door_is_an_opening_of_its_name() {
                 .all(|p| p.corners.iter().all(|c| c[0] == 1.0 && c[2] <= 1.0))
     );
     // It does not block: the far wall is seen through it, and the door itself is in no set.
-    let of = Aabb::new(Vec3::new(0.2, 0.2, 0.2), Vec3::new(0.8, 0.8, 0.8));
-    let found = sights(&partition, of, false, &|| false).unwrap();
+    let cell = Aabb::new(Vec3::new(0.2, 0.2, 0.2), Vec3::new(0.8, 0.8, 0.8));
+    let found = sights(&partition, cell, false, &|| false).unwrap();
     let far = (0..first).filter(|id| scene.triangles()[*id as usize].v.iter().all(|v| v.x == 2.0));
     assert!(far.clone().count() == 2 && far.clone().any(|id| found.binary_search(&id).is_ok()));
     assert!(found.iter().all(|id| *id < first));

@@ -179,10 +179,10 @@ impl ItemTable {
                 joined(all.into_iter())
             }
             Self::Objects { never } => {
-                let of = |run: &[u32]| objects[run[0] as usize..run[1] as usize].iter();
+                let objects_in = |run: &[u32]| objects[run[0] as usize..run[1] as usize].iter();
                 let ranges = items
                     .chunks_exact(2)
-                    .flat_map(of)
+                    .flat_map(objects_in)
                     .map(|o| [o.first, o.first + o.count]);
                 let all = joined(ranges.filter(|r| r[0] < r[1]));
                 let [shown] = runs::sweep([&all, never], |m| u32::from(m == 1));

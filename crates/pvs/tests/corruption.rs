@@ -82,15 +82,23 @@ fn certificates_come_back_and_cells_without_one_have_none() {
         assert_eq!(Pvs::from_bytes(file).unwrap().certificate(0).unwrap(), None);
     }
     let some = Pvs::from_bytes(some).unwrap();
-    let of = |pvs: &Pvs, cell| pvs.certificate(cell).unwrap().unwrap().to_vec();
+    let certificate_of = |pvs: &Pvs, cell| pvs.certificate(cell).unwrap().unwrap().to_vec();
     assert_eq!(
-        [of(&some, 0), of(&some, 1), of(&some, 2)],
+        [
+            certificate_of(&some, 0),
+            certificate_of(&some, 1),
+            certificate_of(&some, 2)
+        ],
         [b"seen along this".to_vec(), vec![], vec![]]
     );
     assert_eq!(some.columns().unwrap().len(), 2);
     let all = Pvs::from_bytes(all).unwrap();
     assert_eq!(
-        [of(&all, 0), of(&all, 1), of(&all, 2)],
+        [
+            certificate_of(&all, 0),
+            certificate_of(&all, 1),
+            certificate_of(&all, 2)
+        ],
         [vec![], b"hidden by that".to_vec(), b"both".to_vec()]
     );
     assert!(all.columns().unwrap().is_empty());

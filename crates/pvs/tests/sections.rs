@@ -121,11 +121,11 @@ fn clusters_and_objects_come_back_as_items_and_as_triangles() {
     let mut bits = [0];
     pvs.visible_bits(0, &mut bits).unwrap();
     assert_eq!(bits, [0b10_0011_1001]);
-    let mut of = Vec::new();
-    pvs.item_triangles(2, &mut of);
-    assert_eq!(of, [4, 5, 9]);
-    pvs.item_triangles(3, &mut of);
-    assert!(of.is_empty());
+    let mut triangles = Vec::new();
+    pvs.item_triangles(2, &mut triangles);
+    assert_eq!(triangles, [4, 5, 9]);
+    pvs.item_triangles(3, &mut triangles);
+    assert!(triangles.is_empty());
 
     let pvs = Pvs::from_bytes(full(&Items::Objects { never: vec![1, 9] })).unwrap();
     assert_eq!(
@@ -144,8 +144,12 @@ fn clusters_and_objects_come_back_as_items_and_as_triangles() {
 #[test]
 fn contributions_pairs_and_sources_come_back() {
     let pvs = Pvs::from_bytes(full(&clusters())).unwrap();
-    let of = pvs.contributions(0).unwrap().unwrap();
-    assert!(of[0].mean()[0] <= 0.25 && 0.25 <= of[0].mean()[1] && of[1].mean() == [0.0, 0.0]);
+    let contributions = pvs.contributions(0).unwrap().unwrap();
+    assert!(
+        contributions[0].mean()[0] <= 0.25
+            && 0.25 <= contributions[0].mean()[1]
+            && contributions[1].mean() == [0.0, 0.0]
+    );
     assert!(pvs.sees(0, 1).unwrap() && pvs.sees(1, 1).unwrap());
     assert!(
         pvs.cell_pairs()

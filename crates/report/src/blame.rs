@@ -15,7 +15,7 @@ use sightline_numbers::random::SplitMix64;
 use sightline_pvs::Pvs;
 use sightline_scene::{Aabb, Scene};
 use sightline_trace::packet::{LANES, Packet};
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 
 use crate::ReportError;
 use crate::costs::Costs;
@@ -81,12 +81,13 @@ struct Seen {
     sights: Vec<(Sights, u32)>,
 }
 
-/// Looks for openings. `is_place` says where viewpoints can be; `step` is as for [`Sight::trace_each`].
+/// Looks for openings. `is_place` returns true where viewpoints can be; `step` is as for
+/// [`SightLineTracer::trace_each`].
 ///
 /// # Errors
 /// [`ReportError`].
 pub fn blame(
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     (pvs, scene): (&Pvs, &Scene),
     costs: &Costs,
     (seed, step): (u64, f32),
@@ -186,7 +187,7 @@ fn saved_by(opening: Opening, of: &Seen, cells: u32) -> f64 {
 
 /// Draws segments between some of the cells that see an object and the object.
 fn look(
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     (pvs, scene): (&Pvs, &Scene),
     costs: &Costs,
     group: usize,

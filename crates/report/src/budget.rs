@@ -63,16 +63,16 @@ pub fn over_budget(
             .map(|(group, _)| size(*group))
             .sum::<u64>()
             .saturating_mul(each);
-        let of = |is: u64, limit: Option<u64>| match limit {
+        let usage_ratio = |is: u64, limit: Option<u64>| match limit {
             // Anything is infinitely many times nothing.
             Some(0) if is > 0 => f64::INFINITY,
             None | Some(0) => 0.0,
             Some(limit) => is as f64 / limit as f64,
         };
         let times = budget.map_or(0.0, |b| {
-            of(triangles, b.triangles)
-                .max(of(objects, b.objects))
-                .max(of(bytes, b.bytes))
+            usage_ratio(triangles, b.triangles)
+                .max(usage_ratio(objects, b.objects))
+                .max(usage_ratio(bytes, b.bytes))
         });
         if budget.is_some() && times <= 1.0 || drawn.is_empty() {
             continue;

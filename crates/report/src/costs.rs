@@ -100,23 +100,23 @@ impl Costs {
     pub fn by_group(&self) -> Vec<(u32, u64)> {
         let mut all = vec![(0, 0); self.groups.len()];
         for (group, count) in self.cells.iter().flatten() {
-            let of = &mut all[*group as usize];
-            *of = (of.0 + 1, of.1 + u64::from(*count));
+            let totals = &mut all[*group as usize];
+            *totals = (totals.0 + 1, totals.1 + u64::from(*count));
         }
         all
     }
 }
 
 fn objects_of(scene: &Scene) -> Vec<Group> {
-    let of = |o: &sightline_scene::Object| Group {
+    let to_group = |o: &sightline_scene::Object| Group {
         name: o.name.clone(),
         triangles: (o.first..o.first + o.count).collect(),
     };
-    scene.objects().iter().map(of).collect()
+    scene.objects().iter().map(to_group).collect()
 }
 
 fn clusters_of(scene: &Scene) -> Vec<Group> {
-    let of = |triangles: Vec<u32>| {
+    let to_group = |triangles: Vec<u32>| {
         let corners = triangles
             .iter()
             .flat_map(|t| scene.triangles()[*t as usize].v);
@@ -127,5 +127,5 @@ fn clusters_of(scene: &Scene) -> Vec<Group> {
             triangles,
         }
     };
-    clusters(scene).into_iter().map(of).collect()
+    clusters(scene).into_iter().map(to_group).collect()
 }

@@ -1,4 +1,7 @@
 //! Plots as SVG.
+//!
+//! Their texts have the colour of the page around them, light or dark. The crate plotters writes a fixed
+//! colour into every element, so this module writes the SVG itself.
 
 use std::fmt::Write as _;
 

@@ -27,7 +27,7 @@ use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight, least_step};
+use sightline_trace::sight::{Passed, SightLineTracer, least_step};
 use sightline_trace::surface::Surface;
 use sightline_trace::{Backend as _, CubeSpec, LineSet, Strata};
 
@@ -73,8 +73,9 @@ fn locked<T>(of: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
 impl Ledger for Account {
     fn spent(&self, round: u32, kind: LineKind, rays: u64, finds: u64, time: Duration) {
         let mut all = locked(&self.spent);
-        let of = all.entry((round, kind as usize)).or_default();
-        (of.rays, of.finds, of.time) = (of.rays + rays, of.finds + finds, of.time + time);
+        let totals = all.entry((round, kind as usize)).or_default();
+        (totals.rays, totals.finds, totals.time) =
+            (totals.rays + rays, totals.finds + finds, totals.time + time);
     }
 
     fn wants_tries(&self) -> bool {
@@ -129,7 +130,7 @@ fn main() -> Answer<()> {
     let all: Vec<u32> = (0..scene.len())
         .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
         .collect();
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all)?);
     let (surface, rows) = (Surface::of(&scene, &all), Rows::triangles(&scene));
     let bounds = scene.bounds();
     let [nx, ny, _] = cells.map(u64::from);
@@ -223,7 +224,7 @@ type Missed = [u32; 3];
 
 fn print_missed(
     block: &Block<'_>,
-    (scene, sight, surface): (&sightline_scene::Scene, &Sight<'_>, &Surface),
+    (scene, sight, surface): (&sightline_scene::Scene, &SightLineTracer<'_>, &Surface),
     account: &Account,
 ) -> Answer<()> {
     let grid = block.grid();

@@ -32,7 +32,7 @@ use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight, least_step};
+use sightline_trace::sight::{Passed, SightLineTracer, least_step};
 use sightline_trace::surface::Surface;
 use sightline_trace::{Backend, CubeSpec, LineSet, Strata};
 
@@ -121,7 +121,7 @@ fn main() -> Answer<()> {
     }
     for backend in &backends {
         let start = Instant::now();
-        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all)?);
+        let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all)?);
         let built = start.elapsed().as_secs_f64();
         // Once without use: a device compiles and allocates at first.
         sample(&scene, &surface, &sight, [2; 3], 0.1, None)?;
@@ -148,7 +148,7 @@ fn main() -> Answer<()> {
 fn sample(
     scene: &Scene,
     surface: &Surface,
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     cells: [u32; 3],
     target: f64,
     pace: Option<Pace>,
@@ -215,7 +215,7 @@ fn sample(
 fn line(
     scene: &Scene,
     surface: &Surface,
-    (backend, sight): (&dyn Backend, &Sight<'_>),
+    (backend, sight): (&dyn Backend, &SightLineTracer<'_>),
     cells: [u32; 3],
     target: f64,
     pace: Option<Pace>,
@@ -234,7 +234,7 @@ fn line(
 }
 
 /// The part of held-out lines that meet what their cell lacks.
-fn error(block: &Block<'_>, scene: &Scene, sight: &Sight<'_>) -> Answer<f64> {
+fn error(block: &Block<'_>, scene: &Scene, sight: &SightLineTracer<'_>) -> Answer<f64> {
     let grid = block.grid();
     let step = least_step(scene.bounds());
     let cells: Vec<[u32; 3]> = grid.each().collect();

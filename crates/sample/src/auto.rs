@@ -8,7 +8,7 @@ use sightline_trace::PreparedScene;
 use sightline_trace::cube::face_basis;
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::packet::{LANES, Packet};
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_trace::{Backend, LineSet};
 use sightline_viewcells::Lattice;
 
@@ -74,7 +74,10 @@ pub fn time_rounds(
     const CELLS: [u32; 3] = [4; 3];
     /// A coarse target to warm up with, and the one that is timed.
     const TARGETS: [f64; 2] = [0.1, 0.01];
-    let (facts, sight) = (scene.for_lines(), Sight::new(backend, scene.traced())?);
+    let (facts, sight) = (
+        scene.for_lines(),
+        SightLineTracer::new(backend, scene.traced())?,
+    );
     let (min, max) = (lattice.position([0; 3]), lattice.position(lattice.units()));
     let mut taken = Duration::ZERO;
     for target in TARGETS {

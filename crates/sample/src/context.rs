@@ -76,7 +76,7 @@ pub struct JobContext<'a> {
     /// Where in the cells of a grid viewpoints can be; `None` for everywhere.
     pub viewpoints: Option<&'a PartMask>,
     /// The region that holds all viewpoints; `None` when they are not restricted to one.
-    pub places: Option<&'a dyn Places>,
+    pub places: Option<&'a dyn ViewRegion>,
     /// The grid over which pairs of cells are looked for; `None` when the job does not ask.
     pub pairs: Option<[u32; 3]>,
     /// The backend that traces and renders.
@@ -112,7 +112,7 @@ impl JobContext<'_> {
 
 /// The region that holds all viewpoints. Free segments that begin in it do not leave it, so only the origins
 /// of lines are asked about.
-pub trait Places: Sync {
+pub trait ViewRegion: Sync {
     /// Whether a viewpoint can be at a point.
     fn hold(&self, point: Vec3) -> bool;
     /// A point of the region in a box; `None` when there is none, or single precision has none.

@@ -13,6 +13,6 @@ mod error;
 pub mod lines;
 pub mod tile;
 
-pub use context::{JobContext, LineSampler, Places, TileSampler, Unwatched, Watcher};
+pub use context::{JobContext, LineSampler, TileSampler, Unwatched, ViewRegion, Watcher};
 pub use error::TileError;
 pub use tile::TileCounters;

@@ -24,7 +24,7 @@ use sightline_trace::embree::CpuBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::rows::Rows;
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_trace::surface::Surface;
 use sightline_trace::{Backend, BackendError, CubeSpec, LineSet, PreparedScene, Strata};
 use sightline_viewcells::{Division, Layout, Plan};
@@ -121,7 +121,7 @@ fn with_rows<R>(
     let all: Vec<u32> = (0..scene.len())
         .filter(|id| !scene.triangles()[*id as usize].is_degenerate())
         .collect();
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all).unwrap());
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all).unwrap());
     let surface = Surface::of(scene, &all);
     let tools = Tools {
         scene,

@@ -24,7 +24,7 @@ use sightline_trace::lines::pairs::Pairs;
 use sightline_trace::packet::Packet;
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::surface::Surface;
 use sightline_trace::{Backend, BackendError, CubeSpec, LineSet, Strata};
 
@@ -94,7 +94,7 @@ fn tessellated_box(min: Vec3, max: Vec3, n: u32) -> Vec<[Vec3; 3]> {
 
 fn with_block<R>(
     scene: &Arc<Scene>,
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     view: [Vec3; 2],
     cells: [u32; 3],
     seed: u64,
@@ -147,7 +147,7 @@ fn threads_change_nothing() {
     let Some(backend) = backend(&scene) else {
         return;
     };
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let b = scene.bounds();
     let run = |threads: usize| -> (Vec<Vec<u32>>, Vec<CellStats>) {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -181,7 +181,7 @@ fn a_convex_room_is_seen_whole() {
     let Some(backend) = backend(&scene) else {
         return;
     };
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     with_block(
         &scene,
         &sight,
@@ -213,7 +213,7 @@ fn bounds_hold_as_often_as_they_say() {
     let Some(backend) = backend(&scene) else {
         return;
     };
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let view = [Vec3::splat(-2.5), Vec3::splat(2.5)];
     let grid = CellGrid::new(view[0], view[1], CELLS);
     // How often a sight line of each cell meets each triangle.
@@ -301,7 +301,8 @@ fn no_line_passes_a_closed_wall() {
         let Some(backend) = backend(&scene) else {
             return;
         };
-        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+        let sight =
+            SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
         let view = [at(-view, -view, -view), at(view, view, view)];
         with_block(&scene, &sight, view, [3, 2, 2], 5, |block| {
             block.sample(1e-4, &[], Tolerance::Equal).unwrap();
@@ -326,7 +327,8 @@ fn lines_that_begin_on_the_wall_stay_inside() {
         let Some(backend) = backend(&scene) else {
             return;
         };
-        let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+        let sight =
+            SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
         let mut random = Hashed::new(&[3]);
         let mut crossed = 0;
         for id in 0..wall {
@@ -378,7 +380,7 @@ fn a_cell_far_harder_than_the_others_has_a_raised_tolerance_and_no_other_has() {
     let Some(backend) = backend(&scene) else {
         return;
     };
-    let sight = Sight::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
+    let sight = SightLineTracer::opaque(backend.lines(LineSet::Blocking, &all(&scene)).unwrap());
     let sampled = |tolerance: Tolerance| -> Vec<CellStats> {
         with_block(
             &scene,

@@ -17,7 +17,7 @@ use sightline_trace::embree::CpuBackend;
 use sightline_trace::gpu::{AdapterChoice, GpuBackend};
 use sightline_trace::packet::Packet;
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::{Backend, BackendError, CubeSpec, PreparedScene, SKY, Strata};
 
 /// Squares across the x axis as a glTF file: each at x = `at`, over 0…4 along y and z, with a material.
@@ -157,7 +157,7 @@ fn traced(
     each: bool,
 ) -> Vec<Shown> {
     let prepared = PreparedScene::new(Arc::clone(scene)).unwrap();
-    let sight = Sight::new(backend, prepared.traced()).unwrap();
+    let sight = SightLineTracer::new(backend, prepared.traced()).unwrap();
     let mut packets: Vec<Packet> = lines
         .chunks(16)
         .map(|some| {
@@ -174,10 +174,10 @@ fn traced(
     }
     let shown = |i: usize| {
         let (packet, lane) = (i / 16, i % 16);
-        let of = &packets[packet];
+        let traced_packet = &packets[packet];
         (
-            of.triangle[lane],
-            of.distance[lane],
+            traced_packet.triangle[lane],
+            traced_packet.distance[lane],
             passed.on(packet, lane).collect(),
         )
     };

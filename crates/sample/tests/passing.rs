@@ -15,7 +15,7 @@ use sightline_scene::{Kind, Kinds, Object, Scene, Side, Sides, Triangle};
 use sightline_trace::embree::CpuBackend;
 use sightline_trace::packet::{LANES, LineTracer, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::{
     Backend, BackendError, CubeRenderer, CubeSpec, LineSet, PreparedScene, SKY, Strata,
 };
@@ -73,7 +73,7 @@ fn scene(sides: Sides) -> Scene {
 type Shown = (u32, Vec<u32>);
 
 /// What each line shows.
-fn traced(sight: &Sight<'_>, coherent: bool) -> Vec<Shown> {
+fn traced(sight: &SightLineTracer<'_>, coherent: bool) -> Vec<Shown> {
     let mut random = Hashed::new(&[5]);
     let mut packets: Vec<Packet> = (0..200)
         .map(|_| {
@@ -143,7 +143,11 @@ fn one_traversal_finds_what_two_searches_find() {
             (Some(0.4), false),
             (Some(0.4), true),
         ] {
-            let sight = |backend| Sight::new(backend, prepared.traced()).unwrap().up_to(far);
+            let sight = |backend| {
+                SightLineTracer::new(backend, prepared.traced())
+                    .unwrap()
+                    .up_to(far)
+            };
             let together = traced(&sight(&backend), coherent);
             let apart = traced(&sight(&apart), coherent);
             assert_eq!(together.len(), apart.len());

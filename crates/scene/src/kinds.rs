@@ -301,10 +301,10 @@ fn expanded(runs: &[Run]) -> Vec<Kind> {
     if runs.iter().all(|r| r.kind == Kind::Opaque) {
         return Vec::new();
     }
-    let mut of = Vec::with_capacity(runs.iter().map(|r| r.count as usize).sum());
+    let mut kinds = Vec::with_capacity(runs.iter().map(|r| r.count as usize).sum());
     runs.iter()
-        .for_each(|r| of.resize(of.len() + r.count as usize, r.kind));
-    of
+        .for_each(|r| kinds.resize(kinds.len() + r.count as usize, r.kind));
+    kinds
 }
 
 /// Appends the section of a scene's canonical bytes. Little-endian: u32 R, then R rules of (u8 kind, text);

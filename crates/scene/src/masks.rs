@@ -131,12 +131,12 @@ impl Masks {
         let mut waiting: Vec<Option<Mask>> = masks.into_iter().map(Some).collect();
         let mut start = 0;
         for part in parts.into_iter().filter(|p| p.count > 0) {
-            let of = part.mask as usize;
-            if let Some(mask) = waiting[of].take() {
-                place[of] = this.masks.len() as u32;
+            let mask_index = part.mask as usize;
+            if let Some(mask) = waiting[mask_index].take() {
+                place[mask_index] = this.masks.len() as u32;
                 this.masks.push(mask);
             }
-            let mask = place[of];
+            let mask = place[mask_index];
             match this.parts.last_mut() {
                 Some(last) if last.mask == mask && last.first + last.count == part.first => {
                     last.count += part.count;
@@ -309,8 +309,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<Masks, &'static str> {
         return Err("there are more or fewer texture coordinates than masked triangles have");
     }
     let corner = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    let of = |b: &[u8]| [0, 8, 16].map(|at| [corner(&b[at..]), corner(&b[at + 4..])]);
-    let coordinates: Vec<Coordinates> = rest.chunks_exact(24).map(of).collect();
+    let read_coordinates = |b: &[u8]| [0, 8, 16].map(|at| [corner(&b[at..]), corner(&b[at + 4..])]);
+    let coordinates: Vec<Coordinates> = rest.chunks_exact(24).map(read_coordinates).collect();
     if coordinates
         .iter()
         .flatten()

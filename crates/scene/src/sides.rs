@@ -49,12 +49,12 @@ impl Sides {
 
     /// The sides given by runs of (number of triangles, side) in id order.
     pub fn from_runs(runs: impl IntoIterator<Item = (u32, Side)>) -> Self {
-        let mut of = Vec::new();
+        let mut sides = Vec::new();
         runs.into_iter()
-            .for_each(|(count, side)| of.resize(of.len() + count as usize, side));
-        match of.iter().all(|s| *s == Side::Both) {
+            .for_each(|(count, side)| sides.resize(sides.len() + count as usize, side));
+        match sides.iter().all(|s| *s == Side::Both) {
             true => Self::both(),
-            false => Self { of },
+            false => Self { of: sides },
         }
     }
 

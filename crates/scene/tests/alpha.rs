@@ -110,9 +110,9 @@ fn masks_that_are_alike_everywhere_are_closed_or_open() {
     );
     // Without a texture the factor decides.
     let factor = |alpha: f64| {
-        let of = json!({"baseColorFactor": [1, 1, 1, alpha]});
+        let pbr = json!({"baseColorFactor": [1, 1, 1, alpha]});
         load(&card(&[], |g| {
-            g.json["materials"][0]["pbrMetallicRoughness"] = of
+            g.json["materials"][0]["pbrMetallicRoughness"] = pbr
         }))
         .scene
     };

@@ -62,8 +62,8 @@ fn texture_coordinates_are_decoded_with_their_vertices() {
                 (b[0] - a[0]) * (at[1] - a[1]) - (b[1] - a[1]) * (at[0] - a[0]) > 0.0
             })
         };
-        let of = soup(&scene).iter().position(inside).unwrap();
-        scene.mask_blocks(of as u32, [at[0], at[1], -1.0], [0.0, 0.0, 1.0])
+        let triangle = soup(&scene).iter().position(inside).unwrap();
+        scene.mask_blocks(triangle as u32, [at[0], at[1], -1.0], [0.0, 0.0, 1.0])
     };
     for at in [
         [0.2, 0.4],
@@ -91,30 +91,30 @@ fn faults_are_refused_with_the_primitive() {
     fn extension(j: &mut Value) -> &mut Value {
         &mut j["meshes"][0]["primitives"][0]["extensions"]["KHR_draco_mesh_compression"]
     }
-    let of = "mesh 0, primitive 0, KHR_draco_mesh_compression";
+    let location = "mesh 0, primitive 0, KHR_draco_mesh_compression";
     refused(
         &|j| extension(j)["bufferView"] = json!(99),
-        &[of, "buffer view 99"],
+        &[location, "buffer view 99"],
     );
     refused(
         &|j| extension(j)["bufferView"] = json!(0),
-        &[of, "cannot be decoded"],
+        &[location, "cannot be decoded"],
     );
     refused(
         &|j| extension(j)["attributes"]["POSITION"] = json!(7),
-        &[of, "attribute 7", "no attribute 7"],
+        &[location, "attribute 7", "no attribute 7"],
     );
     refused(
         &|j| j["accessors"][0]["count"] = json!(5),
-        &[of, "accessor 0 has 5 elements, and 4"],
+        &[location, "accessor 0 has 5 elements, and 4"],
     );
     refused(
         &|j| j["accessors"][0]["componentType"] = json!(5123),
-        &[of, "do not fit accessor 0"],
+        &[location, "do not fit accessor 0"],
     );
     refused(
         &|j| j["meshes"][0]["primitives"][0]["mode"] = json!(5),
-        &[of, "mode must be 4"],
+        &[location, "mode must be 4"],
     );
     refused(
         &|j| {
@@ -123,17 +123,20 @@ fn faults_are_refused_with_the_primitive() {
                 .unwrap()
                 .remove("indices");
         },
-        &[of, "no indices"],
+        &[location, "no indices"],
     );
     // More than the accessors announce is not decoded at all.
-    refused(&|j| j["accessors"][1]["count"] = json!(3), &[of, "ceiling"]);
+    refused(
+        &|j| j["accessors"][1]["count"] = json!(3),
+        &[location, "ceiling"],
+    );
     refused(
         &|j| {
             j["accessors"][0]["sparse"] = json!({
                 "count": 1, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}
             });
         },
-        &[of, "sparse"],
+        &[location, "sparse"],
     );
 }
 

@@ -158,11 +158,14 @@ fn sides_and_kinds_are_part_of_the_canonical_bytes() {
             g.json["meshes"][1]["primitives"][0]["material"] = json!(0);
         })
     };
-    let of = |material| load("test.glb", &file(material), &culling());
-    let (opaque, glass) = (of(json!({})), of(json!({"alphaMode": "BLEND"})));
+    let scene_with = |material| load("test.glb", &file(material), &culling());
+    let (opaque, glass) = (
+        scene_with(json!({})),
+        scene_with(json!({"alphaMode": "BLEND"})),
+    );
     let (double, glass_double) = (
-        of(json!({"doubleSided": true})),
-        of(json!({"alphaMode": "BLEND", "doubleSided": true})),
+        scene_with(json!({"doubleSided": true})),
+        scene_with(json!({"alphaMode": "BLEND", "doubleSided": true})),
     );
     let plain = load("test.glb", &file(json!({})), &Options::default());
     let mut digests = Vec::new();

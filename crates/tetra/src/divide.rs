@@ -214,25 +214,25 @@ impl Rings<'_> {
     /// The tetrahedra of a cell.
     fn cell(&self, cell: usize, faces: &[Face]) -> Part {
         let listed = self.cells.faces_of(cell);
-        let of = |f: &u32| &faces[(f >> 1) as usize];
+        let face_at = |f: &u32| &faces[(f >> 1) as usize];
         let least = listed
             .iter()
-            .flat_map(|f| &of(f).ring)
+            .flat_map(|f| &face_at(f).ring)
             .min()
             .copied()
             .unwrap_or_default();
         let simple = listed.iter().all(|f| {
-            let face = of(f);
+            let face = face_at(f);
             !face.uneven && (face.ring.contains(&least) || !self.is_in_plane(face, least))
         });
         let tip = if simple { least } else { u32::MAX };
         let cone = listed
             .iter()
-            .filter(|f| !simple || !of(f).ring.contains(&least))
+            .filter(|f| !simple || !face_at(f).ring.contains(&least))
             .flat_map(|f| {
                 // Seen from inside of the cell a face that it is behind turns clockwise.
                 let turned = f & 1 == 0;
-                of(f).triangles.iter().map(move |[a, b, c]| {
+                face_at(f).triangles.iter().map(move |[a, b, c]| {
                     if turned {
                         [*a, *b, *c, tip]
                     } else {
@@ -242,7 +242,11 @@ impl Rings<'_> {
             });
         let tetrahedra = cone.collect();
         let middle = (!simple).then(|| {
-            let mut all: Vec<u32> = listed.iter().flat_map(|f| &of(f).ring).copied().collect();
+            let mut all: Vec<u32> = listed
+                .iter()
+                .flat_map(|f| &face_at(f).ring)
+                .copied()
+                .collect();
             all.sort_unstable();
             all.dedup();
             let mut sum = [0.0; 3];
@@ -260,8 +264,11 @@ impl Rings<'_> {
             return true;
         };
         let [a, b, c, v] = [*a, *b, *c, vertex].map(|v| &self.places[v as usize]);
-        let of = |v: &Place| self.field.difference(v, a);
-        self.field.dot(&self.field.cross(&of(b), &of(c)), &of(v)) == [0; 2]
+        let offset_from_a = |v: &Place| self.field.difference(v, a);
+        self.field.dot(
+            &self.field.cross(&offset_from_a(b), &offset_from_a(c)),
+            &offset_from_a(v),
+        ) == [0; 2]
     }
 }
 

@@ -33,11 +33,11 @@ pub(crate) struct Done {
 
 /// The variants of a primitive.
 fn variants(primitive: &Value) -> impl Iterator<Item = &Value> {
-    let of = primitive
+    let mappings = primitive
         .get("extensions")
         .and_then(|e| e.get(VARIANTS))
         .and_then(|v| v.get("mappings"));
-    of.and_then(Value::as_array).into_iter().flatten()
+    mappings.and_then(Value::as_array).into_iter().flatten()
 }
 
 /// The materials of a primitive: its own, and those of its variants.
@@ -88,12 +88,12 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
     // Materials that are changed themselves.
     let mut taken = BTreeSet::new();
     let mut with_texture =
-        |file: &mut File, of: Option<usize>, set: usize| -> Result<usize, TexelsError> {
-            if let Some(number) = known.get(&(of, set)) {
+        |file: &mut File, original: Option<usize>, set: usize| -> Result<usize, TexelsError> {
+            if let Some(number) = known.get(&(original, set)) {
                 return Ok(*number);
             }
             let occlusion = json!({ "index": texture, "texCoord": set, "strength": 1 });
-            let number = match of.filter(|m| *m < file.array("materials").len()) {
+            let number = match original.filter(|m| *m < file.array("materials").len()) {
                 Some(m) if !others.contains(&m) && taken.insert(m) => m,
                 given => {
                     done.added += 1;
@@ -116,7 +116,7 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
                 done.replaced += usize::from(material.contains_key("occlusionTexture"));
                 material.insert("occlusionTexture".to_owned(), occlusion);
             }
-            known.insert((of, set), number);
+            known.insert((original, set), number);
             Ok(number)
         };
     for u in uses {
@@ -124,10 +124,11 @@ pub(crate) fn assign(file: &mut File, uses: &[Use], texture: usize) -> Result<Do
             .cloned()
             .unwrap_or(Value::Null);
         let own = with_texture(file, member(&new, "material"), u.set)?;
-        let of: Vec<Option<usize>> = variants(&new).map(|v| member(v, "material")).collect();
-        for (i, of) in of.into_iter().enumerate() {
-            if of.is_some() {
-                let number = with_texture(file, of, u.set)?;
+        let variant_materials: Vec<Option<usize>> =
+            variants(&new).map(|v| member(v, "material")).collect();
+        for (i, material) in variant_materials.into_iter().enumerate() {
+            if material.is_some() {
+                let number = with_texture(file, material, u.set)?;
                 new["extensions"][VARIANTS]["mappings"][i]["material"] = json!(number);
             }
         }

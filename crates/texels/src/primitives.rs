@@ -47,10 +47,10 @@ pub(crate) fn with_coordinates(
             added::coordinates(file, &moved)?
         }
         Layout::New { vertices, corners } => {
-            let of: Vec<u32> = vertices.iter().map(|v| v.0).collect();
+            let source_vertices: Vec<u32> = vertices.iter().map(|v| v.0).collect();
             let uv: Vec<[f32; 2]> = vertices.iter().map(|v| v.1).collect();
-            gather(file, &mut primitive, &of)?;
-            primitive["indices"] = json!(added::indices(file, corners, of.len())?);
+            gather(file, &mut primitive, &source_vertices)?;
+            primitive["indices"] = json!(added::indices(file, corners, source_vertices.len())?);
             if primitive.get("mode").is_some() {
                 primitive["mode"] = json!(4);
             }

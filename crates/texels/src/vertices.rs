@@ -171,14 +171,14 @@ fn divisions(scene: &Scene) -> Vec<u8> {
         .par_iter()
         .map(sightline_scene::Triangle::is_degenerate);
     let flat: Vec<bool> = degenerate.collect();
-    let of = |(area, flat): (&f64, bool)| {
+    let count_divisions = |(area, flat): (&f64, bool)| {
         if flat || *area == 0.0 {
             0
         } else {
             (4.0 * area / mean).sqrt().ceil().clamp(2.0, 8.0) as u8
         }
     };
-    areas.iter().zip(flat).map(of).collect()
+    areas.iter().zip(flat).map(count_divisions).collect()
 }
 
 /// The middles of the k² equal parts of a triangle, as weights of its corners.

@@ -75,14 +75,14 @@ pub(crate) fn with_vertices(
     for (part, set) in parts.all.iter().zip(&unknowns.set_of) {
         let at = (meshes[part.draw], part.primitive);
         // Vertices of no triangle are in the open.
-        let of = |u: &u32| {
+        let value_of = |u: &u32| {
             if *u == NONE {
                 1.0
             } else {
                 values[*u as usize] as f32
             }
         };
-        let own = || -> Vec<f32> { unknowns.sets[*set].unknowns.iter().map(of).collect() };
+        let own = || -> Vec<f32> { unknowns.sets[*set].unknowns.iter().map(value_of).collect() };
         let accessor = match accessors.get(set) {
             Some(known) => *known,
             None => {

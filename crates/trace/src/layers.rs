@@ -13,7 +13,7 @@ use crate::cube::{CubeImage, CubeSpec, SKY, face_basis, sample_of_image};
 use crate::error::BackendError;
 use crate::packet::{LANES, Packet};
 use crate::prepared::PreparedScene;
-use crate::sight::{Passed, Sight, least_step};
+use crate::sight::{Passed, SightLineTracer, least_step};
 
 /// Packets traced at a time.
 const BATCH: usize = 1024;
@@ -37,16 +37,16 @@ pub fn renderer<'a>(
     }
     let step = least_step(scene.scene().bounds());
     Ok(Box::new(Layered {
-        sight: Sight::new(backend, scene.traced())?.up_to(far),
+        sight: SightLineTracer::new(backend, scene.traced())?.up_to(far),
         spec,
         step,
     }))
 }
 
 struct Layered<'a> {
-    sight: Sight<'a>,
+    sight: SightLineTracer<'a>,
     spec: CubeSpec,
-    /// See [`Sight::trace`].
+    /// See [`SightLineTracer::trace`].
     step: f32,
 }
 

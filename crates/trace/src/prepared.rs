@@ -200,7 +200,7 @@ impl PreparedScene {
             return self.classes();
         }
         self.duplicates.get_or_init(|| {
-            let of = |kind: Kind, class: &[u32]| -> Vec<u32> {
+            let keep_kind = |kind: Kind, class: &[u32]| -> Vec<u32> {
                 class
                     .iter()
                     .copied()
@@ -208,7 +208,8 @@ impl PreparedScene {
                     .collect()
             };
             let classes = self.classes().iter();
-            let parts = classes.flat_map(|c| [of(Kind::Opaque, c), of(Kind::SeeThrough, c)]);
+            let parts =
+                classes.flat_map(|c| [keep_kind(Kind::Opaque, c), keep_kind(Kind::SeeThrough, c)]);
             let parts = parts.flat_map(|class| self.seen_together(class));
             parts.filter(|class| class.len() > 1).collect()
         })
@@ -235,7 +236,7 @@ impl PreparedScene {
             if !kinds.any_masked() {
                 return Default::default();
             }
-            let of = |class: &Vec<u32>| -> Vec<u32> {
+            let keep_masked = |class: &Vec<u32>| -> Vec<u32> {
                 class
                     .iter()
                     .copied()
@@ -245,7 +246,7 @@ impl PreparedScene {
             let mut classes: Vec<Vec<u32>> = self
                 .classes()
                 .iter()
-                .map(of)
+                .map(keep_masked)
                 .filter(|c| c.len() > 1)
                 .collect();
             classes.iter_mut().for_each(|c| c.sort_unstable());

@@ -61,7 +61,7 @@ impl Rows {
         let Some((items, count)) = items(scene, granularity) else {
             return Self::triangles(scene);
         };
-        let mut of = items.clone();
+        let mut rows = items.clone();
         let mut shared = Vec::new();
         for class in duplicates {
             let mut with: Vec<u32> = class.iter().map(|t| items[*t as usize]).collect();
@@ -70,12 +70,12 @@ impl Rows {
             if with.len() > 1 {
                 class
                     .iter()
-                    .for_each(|t| of[*t as usize] = count + shared.len() as u32);
+                    .for_each(|t| rows[*t as usize] = count + shared.len() as u32);
                 shared.push(with);
             }
         }
         Self {
-            of,
+            of: rows,
             items,
             count,
             shared,

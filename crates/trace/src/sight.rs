@@ -74,7 +74,7 @@ pub fn least_step(bounds: Aabb) -> f32 {
 }
 
 /// Traces sight lines through a scene.
-pub struct Sight<'a> {
+pub struct SightLineTracer<'a> {
     blocking: Box<dyn LineTracer + 'a>,
     see_through: SeeThrough<'a>,
     masked: Option<Masked<'a>>,
@@ -127,7 +127,7 @@ struct Met {
     after: f32,
 }
 
-impl<'a> Sight<'a> {
+impl<'a> SightLineTracer<'a> {
     /// Prepares the tracing with a backend.
     ///
     /// # Errors
@@ -231,10 +231,10 @@ impl<'a> Sight<'a> {
         self.pass(packets, passed, step, true)
     }
 
-    /// The same for rays of different directions, each traced by itself.
+    /// Traces rays of different directions, each by itself, as [`Self::trace`] does for packets.
     ///
     /// # Errors
-    /// As [`Sight::trace`].
+    /// As [`SightLineTracer::trace`].
     pub fn trace_each(
         &self,
         packets: &mut [Packet],

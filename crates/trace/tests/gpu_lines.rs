@@ -157,11 +157,11 @@ fn the_nearest_triangle_is_that_of_brute_force() {
                     v: t.v.map(|v| c + (v - c) * k),
                 }
             };
-            let of = |id: u32| &triangles[id as usize];
+            let triangle_at = |id: u32| &triangles[id as usize];
             let on_border = |id: u32| {
                 id != SKY
-                    && hit(&shrunk(of(id), 1.0 + 1e-5), o, d).is_some()
-                    && hit(&shrunk(of(id), 1.0 - 1e-5), o, d).is_none()
+                    && hit(&shrunk(triangle_at(id), 1.0 + 1e-5), o, d).is_some()
+                    && hit(&shrunk(triangle_at(id), 1.0 - 1e-5), o, d).is_none()
             };
             assert!(
                 on_border(id) || on_border(expected.0),

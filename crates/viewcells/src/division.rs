@@ -200,15 +200,21 @@ impl Division {
         let (min, max) = root.world(lattice);
         let largest = min.abs().max(max.abs()).max_element();
         let moved = f64::from(largest) * f64::from(f32::EPSILON) * f64::from(ROUNDING);
-        let of = |a: usize| lattice.length(a, thinnest.hi[a] - thinnest.lo[a]);
+        let width_along = |a: usize| lattice.length(a, thinnest.hi[a] - thinnest.lo[a]);
         let (width, axis) = match self {
             Self::Tree(tree) => {
                 let (width, axis) = tree.thinnest(lattice);
                 (width - 2.0 * f64::from(GAP) * moved, axis)
             }
             Self::Grid(_) | Self::Adaptive { .. } => {
-                let axis = (1..3).fold(0, |a, b| if of(b) < of(a) { b } else { a });
-                (of(axis), axis)
+                let axis = (1..3).fold(0, |a, b| {
+                    if width_along(b) < width_along(a) {
+                        b
+                    } else {
+                        a
+                    }
+                });
+                (width_along(axis), axis)
             }
         };
         if moved < width {

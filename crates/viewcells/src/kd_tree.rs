@@ -287,23 +287,23 @@ mod tests {
 
     #[test]
     fn planes_outside_their_boxes_are_refused() {
-        let of = |axes: &[u32], planes: &[f32]| {
+        let lattice_for = |axes: &[u32], planes: &[f32]| {
             Division::Tree(Arc::new(KdTree::new(axes, planes).unwrap()))
                 .lattice(Vec3::ZERO, Vec3::ONE)
         };
         assert!(matches!(
-            of(&[0, 3, 3], &[1.0]),
+            lattice_for(&[0, 3, 3], &[1.0]),
             Err(DivisionError::Plane(PlaneError { axis: 0, .. }))
         ));
         assert!(matches!(
-            of(&[0, 3, 3], &[f32::NAN]),
+            lattice_for(&[0, 3, 3], &[f32::NAN]),
             Err(DivisionError::Plane(_))
         ));
         assert!(matches!(
-            of(&[0, 0, 3, 3, 3], &[0.5, 0.75]),
+            lattice_for(&[0, 0, 3, 3, 3], &[0.5, 0.75]),
             Err(DivisionError::Plane(_))
         ));
-        assert_eq!(of(&[3], &[]).unwrap().units(), [1, 1, 1]);
+        assert_eq!(lattice_for(&[3], &[]).unwrap().units(), [1, 1, 1]);
     }
 
     proptest! {

@@ -12,7 +12,7 @@ use sightline_scene::{Aabb, Scene};
 use sightline_trace::cube::{SKY, face_basis};
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_viewcells::PartMask;
 
 use crate::mesh::winding;
@@ -36,7 +36,7 @@ pub struct Tracing<'a> {
     /// The scene's triangles.
     pub scene: &'a Scene,
     /// Their tracer.
-    pub sight: &'a Sight<'a>,
+    pub sight: &'a SightLineTracer<'a>,
     /// The parts to be marked.
     pub parts: &'a Parts,
     /// Cells of their grid.

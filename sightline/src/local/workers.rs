@@ -45,7 +45,7 @@ impl Workers {
                 helps: false,
                 direct: false,
                 give_up_after: Some(Duration::from_secs(30)),
-                pulse: Arc::default(),
+                counters: Arc::default(),
                 traces: traces.clone(),
             };
             running.spawn(sightline_worker::run(config, stopped.clone()));

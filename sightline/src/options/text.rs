@@ -76,6 +76,7 @@ pub fn parse_box(text: &str) -> Result<Aabb, String> {
     }
 }
 
+// The crate `humantime` rejects a number without a unit, which the contract permits.
 /// Parses a duration, as in `500ms`, `30s`, `30`, `5m` or `2h`; a number without a unit is in seconds.
 ///
 /// # Errors

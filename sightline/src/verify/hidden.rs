@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::Vec3;
 use rayon::prelude::*;
-use sightline_exact::{Cell, Cost, ExactScene, Found, Limits, Places, Polygon, Sources, from_cell};
+use sightline_exact::{
+    Cell, Cost, ExactScene, ExactViewRegion, Found, Limits, Polygon, Sources, from_cell,
+};
 use sightline_numbers::Aabb;
 use sightline_numbers::random::SplitMix64;
 use sightline_portals::OpenFaces;
@@ -43,11 +45,14 @@ pub(super) fn verify(
             result.error("no pair that is called hidden was found, so there is nothing to ask")
         );
     }
-    let places = places.as_ref().map(|places| places as &dyn Places);
+    let places = places.as_ref().map(|places| places as &dyn ExactViewRegion);
     let faces = open_faces(result, scene, &pairs, places);
     let cancelled = || observer.is_cancelled();
     let ask = |(cell, triangle): &(u32, u32)| {
-        let places = faces.get(cell).map(|faces| faces as &dyn Places).or(places);
+        let places = faces
+            .get(cell)
+            .map(|faces| faces as &dyn ExactViewRegion)
+            .or(places);
         ask(pvs, &exact, (places, &cancelled), *cell, *triangle)
     };
     let answers: Vec<Result<Answer, Error>> = pairs.par_iter().map(ask).collect();
@@ -125,7 +130,7 @@ fn open_faces<'a>(
     result: NamedResult<'_>,
     scene: &Scene,
     pairs: &[(u32, u32)],
-    places: Option<&'a dyn Places>,
+    places: Option<&'a dyn ExactViewRegion>,
 ) -> BTreeMap<u32, OpenFaces<'a>> {
     let Some(scene) = walls_of(result, scene) else {
         return BTreeMap::new();
@@ -141,7 +146,7 @@ fn open_faces<'a>(
 fn ask(
     pvs: &Pvs,
     scene: &ExactScene,
-    (places, cancelled): (Option<&dyn Places>, &(dyn Fn() -> bool + Sync)),
+    (places, cancelled): (Option<&dyn ExactViewRegion>, &(dyn Fn() -> bool + Sync)),
     cell: u32,
     triangle: u32,
 ) -> Result<Answer, Error> {
@@ -150,9 +155,9 @@ fn ask(
     let cell = cell.ok_or_else(|| Error::input("a cell of the result has no volume"))?;
     let sources = Sources::new(cell, places);
     let corners = *scene.occluders().triangle(triangle);
-    let of = sightline_scene::Triangle { v: corners };
+    let shape = sightline_scene::Triangle { v: corners };
     // A triangle that meets the cell where viewpoints are is seen.
-    if sightline_scene::overlap::triangle_touches_box(&of, &cell.bounds())
+    if sightline_scene::overlap::triangle_touches_box(&shape, &cell.bounds())
         && sources.is_met_by(corners)
     {
         return Ok(Answer::Seen("meets the cell".to_owned()));

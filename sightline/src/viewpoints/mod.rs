@@ -9,7 +9,7 @@ use std::sync::Arc;
 use sightline_model::{BoxCells, TracerChoice, Up, Viewpoints};
 use sightline_portals::{Reached, along_walls};
 use sightline_scene::{Aabb, Scene, overlap};
-use sightline_trace::sight::{Sight, least_step};
+use sightline_trace::sight::{SightLineTracer, least_step};
 use sightline_trace::{CubeSpec, PreparedScene, Strata};
 use sightline_viewcells::{Division, Lattice, Layout, PartMask, Plan, Region};
 use sightline_viewpoints::reach::Tracing;
@@ -223,7 +223,7 @@ impl ViewpointOptions {
         };
         let (_, backend) = open_tracer(TracerChoice::Auto, scene, spec, observer)?;
         let prepared = PreparedScene::new(Arc::clone(scene))?;
-        let sight = Sight::new(&*backend, prepared.traced()).map_err(Error::internal)?;
+        let sight = SightLineTracer::new(&*backend, prepared.traced()).map_err(Error::internal)?;
         let step = least_step(scene.bounds());
         with(&Tracing {
             scene,

@@ -120,21 +120,21 @@ impl World {
 
     /// The user and the priority of a job.
     pub(super) fn submitter(&mut self) -> (&'static str, i32) {
-        let of = self.crews.bits();
+        let bits = self.crews.bits();
         (
-            ["one", "two"][(of % 2) as usize],
-            [0, 0, 1][(of / 2 % 3) as usize],
+            ["one", "two"][(bits % 2) as usize],
+            [0, 0, 1][(bits / 2 % 3) as usize],
         )
     }
 
     /// Once in a while a client gives a job another priority.
     pub(super) fn prioritize(&mut self) -> Result<(), String> {
-        let of = self.crews.bits();
-        let (open, priority) = (self.open_jobs(), (of / 8 % 3) as i32 - 1);
-        if open.is_empty() || !of.is_multiple_of(8) {
+        let bits = self.crews.bits();
+        let (open, priority) = (self.open_jobs(), (bits / 8 % 3) as i32 - 1);
+        if open.is_empty() || !bits.is_multiple_of(8) {
             return Ok(());
         }
-        let (id, _) = open[(of / 24) as usize % open.len()];
+        let (id, _) = open[(bits / 24) as usize % open.len()];
         match self.store().prioritize_job(id, priority) {
             Ok(record) => self.tell(Event::JobChanged(Box::new(record))),
             Err(e) => self.refused(&e).map(drop),

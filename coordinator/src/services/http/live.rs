@@ -116,9 +116,9 @@ async fn tell_workers(site: Arc<Site>, out: Out) {
 async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) {
     let c = &site.coordinator;
     let mut changes = c.watched().subscribe(id);
-    let mut grown = c.chronicle.grown();
+    let mut grown = c.event_log.grown();
     let mut before: Vec<TileStatus> = Vec::new();
-    let mut after = c.chronicle.before_last(id, EVENTS);
+    let mut after = c.event_log.before_last(id, EVENTS);
     loop {
         changes.mark_unchanged();
         grown.mark_unchanged();
@@ -142,7 +142,7 @@ async fn tell_job(site: Arc<Site>, caller: Option<Caller>, id: JobId, out: Out) 
             return;
         };
         let tiles = changed_tiles(&before, &now);
-        let (events, upto) = c.chronicle.after(Some(id), after, EVENTS);
+        let (events, upto) = c.event_log.after(Some(id), after, EVENTS);
         let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
         let Ok(events) = serde_json::to_string(&events) else {
             return;
@@ -176,7 +176,7 @@ async fn of_job(
     mut after: u64,
 ) {
     loop {
-        let (found, upto) = c.chronicle.after(Some(id), after, 1);
+        let (found, upto) = c.event_log.after(Some(id), after, 1);
         if !found.is_empty() {
             return;
         }
@@ -226,7 +226,7 @@ pub(super) async fn events(
 ) -> Response {
     let (events, next) =
         site.coordinator
-            .chronicle
+            .event_log
             .after(Some(JobId(job)), since.after, 10 * EVENTS);
     let events: Vec<v1::Event> = events.iter().map(wire::event).collect();
     match serde_json::to_string(&events) {

@@ -303,10 +303,10 @@ mod tests {
     fn events_outlive_a_restart_and_go_on() {
         let directory = tempfile::tempdir().unwrap();
         for run in 0..3 {
-            let chronicle = EventLog::of(directory.path().to_owned());
-            (0..10).for_each(|n| chronicle.record(run * 100 + n, event(run * 10 + n)));
-            chronicle.write();
-            let (all, last) = chronicle.after(None, 0, usize::MAX);
+            let event_log = EventLog::of(directory.path().to_owned());
+            (0..10).for_each(|n| event_log.record(run * 100 + n, event(run * 10 + n)));
+            event_log.write();
+            let (all, last) = event_log.after(None, 0, usize::MAX);
             let numbers: Vec<u64> = all.iter().map(|e| e.number).collect();
             assert_eq!(numbers, (1..=(run + 1) * 10).collect::<Vec<_>>());
             assert_eq!(last, (run + 1) * 10);
@@ -320,9 +320,9 @@ mod tests {
     #[test]
     fn a_torn_line_costs_itself_alone() {
         let directory = tempfile::tempdir().unwrap();
-        let chronicle = EventLog::of(directory.path().to_owned());
-        (0..4).for_each(|n| chronicle.record(n, event(n)));
-        chronicle.write();
+        let event_log = EventLog::of(directory.path().to_owned());
+        (0..4).for_each(|n| event_log.record(n, event(n)));
+        event_log.write();
         let file = directory.path().join(PIECES[0]);
         let mut bytes = std::fs::read(&file).unwrap();
         bytes.truncate(bytes.len() - 9);
@@ -343,11 +343,11 @@ mod tests {
 
     #[test]
     fn a_page_says_where_the_next_begins() {
-        let chronicle = EventLog::nowhere();
-        (0..9).for_each(|n| chronicle.record(n, event(n)));
+        let event_log = EventLog::nowhere();
+        (0..9).for_each(|n| event_log.record(n, event(n)));
         let (mut after, mut found) = (0, Vec::new());
         loop {
-            let (page, next) = chronicle.after(Some(JobId(1)), after, 2);
+            let (page, next) = event_log.after(Some(JobId(1)), after, 2);
             found.extend(page.iter().map(|e| e.number));
             if next == after {
                 break;
@@ -355,22 +355,22 @@ mod tests {
             after = next;
         }
         assert_eq!(found, [2, 5, 8]);
-        assert_eq!(chronicle.after(Some(JobId(7)), 0, 2), (Vec::new(), 9));
-        assert_eq!(chronicle.after(None, 99, 2), (Vec::new(), 99));
+        assert_eq!(event_log.after(Some(JobId(7)), 0, 2), (Vec::new(), 9));
+        assert_eq!(event_log.after(None, 99, 2), (Vec::new(), 99));
     }
 
     #[test]
     fn memory_holds_the_last_events_and_the_file_two_pieces() {
         let directory = tempfile::tempdir().unwrap();
-        let chronicle = EventLog::of(directory.path().to_owned());
+        let event_log = EventLog::of(directory.path().to_owned());
         let text = "x".repeat(MOST_TEXT);
         for n in 0..40_000 {
-            chronicle.record(n, LogEvent::of(Kind::Coordinator, text.clone()));
+            event_log.record(n, LogEvent::of(Kind::Coordinator, text.clone()));
             if n % 1000 == 0 {
-                chronicle.write();
+                event_log.write();
             }
         }
-        chronicle.write();
+        event_log.write();
         let bytes: u64 = std::fs::read_dir(directory.path())
             .unwrap()
             .map(|e| e.unwrap().metadata().unwrap().len())

@@ -63,7 +63,7 @@ fn served() -> BTreeMap<String, String> {
         ..moment()
     });
     let text = text.unwrap();
-    let of = |line: &str| {
+    let name_and_kind = |line: &str| {
         let (name, kind) = line.strip_prefix("# TYPE ")?.split_once(' ')?;
         let name = if kind == "counter" {
             format!("{name}_total")
@@ -80,7 +80,7 @@ fn served() -> BTreeMap<String, String> {
         ))
     };
     text.lines()
-        .filter_map(of)
+        .filter_map(name_and_kind)
         .map(|(name, kind)| match name.as_str() {
             "sightline_build" => ("sightline_build_info".to_owned(), kind),
             _ => (name, kind),

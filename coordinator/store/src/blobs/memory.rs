@@ -74,12 +74,12 @@ impl Blobs for MemoryBlobs {
     }
 
     fn visit(&self, visit: &mut dyn FnMut(Stored) -> bool) -> Result<(), BlobError> {
-        let of = |(digest, (bytes, written)): (&Digest, &(Arc<[u8]>, SystemTime))| Stored {
+        let to_stored = |(digest, (bytes, written)): (&Digest, &(Arc<[u8]>, SystemTime))| Stored {
             digest: *digest,
             bytes: bytes.len() as u64,
             written: *written,
         };
-        let all: Vec<Stored> = self.map().iter().map(of).collect();
+        let all: Vec<Stored> = self.map().iter().map(to_stored).collect();
         all.into_iter().all(visit);
         Ok(())
     }

@@ -170,12 +170,12 @@ impl Cone {
 
     /// The crossings of a polar hyperplane and the edges between rays on different sides of it.
     fn crossed(&self, line: &Vector, sides: &[Ordering], number: usize) -> Vec<Ray> {
-        let of = |which: Ordering| {
+        let rays_on = |which: Ordering| {
             (0..sides.len())
                 .filter(|i| sides[*i] == which)
                 .collect::<Vec<_>>()
         };
-        let (above, below) = (of(Ordering::Greater), of(Ordering::Less));
+        let (above, below) = (rays_on(Ordering::Greater), rays_on(Ordering::Less));
         let values = vec![OnceCell::new(); sides.len()];
         let value =
             |k: usize| values[k].get_or_init(|| klein(self.rays[k].vector.line(), line.line()));

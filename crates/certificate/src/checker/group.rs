@@ -143,16 +143,21 @@ pub(super) fn check_apart(
     cell: Aabb,
     apart: &HiddenBox,
 ) -> Result<(), String> {
-    let of = apart.bounds;
-    check_box(of)?;
+    let bounds = apart.bounds;
+    check_box(bounds)?;
     let common: Vec<f32> = (0..3)
-        .map(|a| of.max[a].min(cell.max[a]) - of.min[a].max(cell.min[a]))
+        .map(|a| bounds.max[a].min(cell.max[a]) - bounds.min[a].max(cell.min[a]))
         .collect();
     let apart_or_touching = common.iter().filter(|length| **length <= 0.0).count();
     if common.iter().all(|length| *length >= 0.0) && apart_or_touching < 2 {
         return Err("the box and the cell share a volume or a part of a face".to_owned());
     }
-    check_proofs(scene, cell, (&faces_towards(of, cell), None), &apart.proofs)
+    check_proofs(
+        scene,
+        cell,
+        (&faces_towards(bounds, cell), None),
+        &apart.proofs,
+    )
 }
 
 fn check_box(Aabb { min, max }: Aabb) -> Result<(), String> {

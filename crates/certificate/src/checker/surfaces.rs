@@ -102,7 +102,7 @@ impl Surfaces {
             *members.entry(sets.root(t as u32)).or_default() += 1;
         }
         let mut number: BTreeMap<u32, u32> = BTreeMap::new();
-        let (mut of, mut all) = (vec![None; scene.len()], Vec::<Surface>::new());
+        let (mut surface_ids, mut all) = (vec![None; scene.len()], Vec::<Surface>::new());
         for (t, v) in scene.iter().enumerate().filter(|(_, v)| has_area(v)) {
             let root = sets.root(t as u32);
             let border = odd.get(&root).map_or(&[][..], |b| b);
@@ -121,10 +121,10 @@ impl Surfaces {
             (s.min, s.max) = v
                 .iter()
                 .fold((s.min, s.max), |(a, b), p| (a.min(*p), b.max(*p)));
-            of[t] = Some(id);
+            surface_ids[t] = Some(id);
         }
         Self {
-            of,
+            of: surface_ids,
             all,
             front: vec![OnceLock::new(); scene.len()],
         }

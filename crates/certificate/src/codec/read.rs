@@ -323,13 +323,13 @@ impl Reader<'_> {
                     Step::Split { polar }
                 }
                 (3, 1) => {
-                    let of = match self.byte()? {
+                    let which = match self.byte()? {
                         0 => Which::A,
                         1 => Which::B,
                         _ => return Err(CodecError("the kind of a step is unknown")),
                     };
                     Step::Divide {
-                        of,
+                        of: which,
                         from: self.small()?,
                         to: self.small()?,
                     }

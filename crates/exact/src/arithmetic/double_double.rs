@@ -121,7 +121,7 @@ mod tests {
 
     /// Value times 2^300, exactly.
     fn exact(x: DoubleDouble) -> IBig {
-        let of = |x: f64| {
+        let to_integer = |x: f64| {
             let (n, e) = dyadic(x);
             if n == 0 {
                 IBig::ZERO
@@ -129,7 +129,7 @@ mod tests {
                 IBig::from(n) << (e + 300) as usize
             }
         };
-        of(x.0) + of(x.1)
+        to_integer(x.0) + to_integer(x.1)
     }
 
     fn value() -> impl Strategy<Value = DoubleDouble> {

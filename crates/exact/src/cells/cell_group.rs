@@ -9,7 +9,7 @@ use sightline_certificate::GroupCertificate;
 use sightline_numbers::Aabb;
 
 use crate::cells::exact_scene::ExactScene;
-use crate::cells::sources::Places;
+use crate::cells::sources::ExactViewRegion;
 use crate::cells::statistics::QueryStatistics;
 use crate::cells::task::Task;
 use crate::cells::work::{State, Work};
@@ -23,7 +23,7 @@ pub struct CellGroup<'a> {
     /// The cells, which fill a box.
     pub cells: &'a [Cell],
     /// Where in space viewpoints are; `None` for everywhere.
-    pub places: Option<&'a dyn Places>,
+    pub places: Option<&'a dyn ExactViewRegion>,
     /// For each cell, triangles that sampling has shown, ascending.
     pub seen: &'a [&'a [u32]],
     /// For each cell, [`Task::listed`]; empty for none.
@@ -160,9 +160,9 @@ fn before_asking(whole: &Task<'_>, cell: Cell, seen: &[u32], listed: Option<&[u3
     work.enclose();
     let mut state = work.state;
     for id in seen {
-        let of = &mut state[*id as usize];
-        if *of == State::Open {
-            *of = State::Visible;
+        let triangle_state = &mut state[*id as usize];
+        if *triangle_state == State::Open {
+            *triangle_state = State::Visible;
         }
     }
     state

@@ -21,6 +21,6 @@ pub use decide::decide;
 pub use exact_scene::ExactScene;
 pub use from_cell::{Found, from_cell};
 pub use listed::decide_listed;
-pub use sources::{Places, Sources};
+pub use sources::{ExactViewRegion, Sources};
 pub use statistics::QueryStatistics;
 pub use task::{Decided, Task};

@@ -14,7 +14,7 @@ use crate::geometry::Cell;
 use crate::geometry::polygon::Polygon;
 
 /// The part of space where viewpoints are. Within a cell, a free segment that begins in it must not leave it.
-pub trait Places: Sync {
+pub trait ExactViewRegion: Sync {
     /// Whether a point of the cell is a viewpoint.
     fn hold(&self, point: Vec3) -> bool;
     /// The parts of a cell's face through which free segments leave the cell.
@@ -26,14 +26,14 @@ pub trait Places: Sync {
 /// A view cell with the parts of its faces through which lines leave.
 pub struct Sources<'a> {
     cell: Cell,
-    places: Option<&'a dyn Places>,
+    places: Option<&'a dyn ExactViewRegion>,
     /// In the order of [`faces`].
     faces: [Vec<Polygon>; 6],
 }
 
 impl<'a> Sources<'a> {
     /// The faces of a cell; with `places`, their parts there.
-    pub fn new(cell: Cell, places: Option<&'a dyn Places>) -> Self {
+    pub fn new(cell: Cell, places: Option<&'a dyn ExactViewRegion>) -> Self {
         let mut all = faces().map(|(axis, up)| {
             let face = Polygon::face_of(cell.bounds(), axis, up);
             match places {

@@ -3,7 +3,7 @@
 use sightline_certificate::CellCertificate;
 
 use crate::cells::exact_scene::ExactScene;
-use crate::cells::sources::Places;
+use crate::cells::sources::ExactViewRegion;
 use crate::cells::statistics::QueryStatistics;
 use crate::geometry::Cell;
 use crate::search::Limits;
@@ -15,7 +15,7 @@ pub struct Task<'a> {
     /// The cell.
     pub cell: Cell,
     /// Where in space viewpoints are; `None` for everywhere.
-    pub places: Option<&'a dyn Places>,
+    pub places: Option<&'a dyn ExactViewRegion>,
     /// Triangles that sampling has shown, ascending. Each is checked.
     pub seen: &'a [u32],
     /// Triangles hidden from the box of the cell group, ascending. None of them meets the cell.

@@ -203,13 +203,13 @@ impl Edges {
         let tight = region.rays[i].1;
         match &self.on {
             Some(on) if tight.count_ones() == 5 => {
-                let mut of = [0u128; 5];
+                let mut ray_sets = [0u128; 5];
                 let mut left = tight;
-                for set in &mut of {
+                for set in &mut ray_sets {
                     *set = on[left.trailing_zeros() as usize];
                     left &= left - 1;
                 }
-                let [a, b, c, d, e] = of;
+                let [a, b, c, d, e] = ray_sets;
                 let (ab, de) = (a & b, d & e);
                 let abc = ab & c;
                 let cde = c & de;

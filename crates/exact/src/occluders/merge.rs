@@ -132,8 +132,8 @@ impl<'a> Faces<'a> {
             .par_iter()
             .map(|face| face.occluder(self.triangles, self.corners))
             .collect();
-        let of = roots.iter().map(|r| number[*r as usize]).collect();
-        (occluders, of)
+        let occluder_ids = roots.iter().map(|r| number[*r as usize]).collect();
+        (occluders, occluder_ids)
     }
 }
 

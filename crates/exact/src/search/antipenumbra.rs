@@ -83,7 +83,7 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
     let mut space = Space::new(Frame::world());
     let directed: Vec<(&Polygon, Ordering)> = portals.iter().zip(towards).collect();
     let lines = edges(&mut space, &directed);
-    let of: Vec<EdgeOf> = portals
+    let portal_edges: Vec<EdgeOf> = portals
         .iter()
         .enumerate()
         .flat_map(|(k, p)| (0..p.points().len()).map(move |i| [k, i]))
@@ -149,7 +149,7 @@ pub fn antipenumbra(portals: &[Polygon], limits: &Limits) -> Result<Antipenumbra
             .halves
             .iter()
             .enumerate()
-            .filter_map(|(k, edge)| edge.filter(|_| is_tight(k)).map(|edge| of[edge]))
+            .filter_map(|(k, edge)| edge.filter(|_| is_tight(k)).map(|edge| portal_edges[edge]))
             .collect();
         let (is_boundary, surface) = search.swath(portals, &touched, face, [*a, *b]);
         if is_boundary {

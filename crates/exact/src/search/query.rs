@@ -129,10 +129,14 @@ impl Search<'_> {
             return Err(End::Open(Reason::Divisions));
         }
         self.cost.divisions += 1;
-        let (of, [from, to]) = widest(&a.0, &b.0);
-        self.proof.steps.push(Step::Divide { of, from, to });
+        let (which, [from, to]) = widest(&a.0, &b.0);
+        self.proof.steps.push(Step::Divide {
+            of: which,
+            from,
+            to,
+        });
         let mut result = Ok(());
-        let (whole, other) = if of == Which::A {
+        let (whole, other) = if which == Which::A {
             (&a.0, &b.0)
         } else {
             (&b.0, &a.0)
@@ -142,7 +146,7 @@ impl Search<'_> {
             // The half lies in the plane of the whole, but its normal may be reversed.
             let half_plane = half.sides(other);
             let (half, rest) = ((half, sides), (other.clone(), half_plane));
-            let found = if of == Which::A {
+            let found = if which == Which::A {
                 self.pair(&half, &rest, depth + 1)
             } else {
                 self.pair(&rest, &half, depth + 1)

@@ -65,10 +65,10 @@ impl Local<'_> {
     /// A point of the `i`-th triangle of a polygon's fan.
     fn mixed(&mut self, end: usize, i: usize, weights: [IBig; 3], shares: [f64; 3]) -> Snapped {
         let ids = if end == 0 { &self.pair.a } else { &self.pair.b };
-        let of = [ids[0], ids[i], ids[i + 1]];
+        let corner_ids = [ids[0], ids[i], ids[i + 1]];
         let near = self.ends[end].1;
         let near = near[0] * shares[0] + near[i] * shares[1] + near[i + 1] * shares[2];
-        (self.space.mixed(of, weights, shares), near)
+        (self.space.mixed(corner_ids, weights, shares), near)
     }
 
     /// As [`Local::snap`], for a line in integers, to [`FINE`] bits.
@@ -110,11 +110,11 @@ impl Local<'_> {
             }
         });
         for i in 1..corners.len() - 1 {
-            let of = [&corners[0], &corners[i], &corners[i + 1]];
+            let triangle = [&corners[0], &corners[i], &corners[i + 1]];
             let parts: [IBig; 3] = std::array::from_fn(|k| {
-                let mut with = of;
+                let mut with = triangle;
                 with[k] = &at;
-                predicates::determinant([with[0], with[1], with[2], &off]) * &of[k][3]
+                predicates::determinant([with[0], with[1], with[2], &off]) * &triangle[k][3]
             });
             let total: IBig = parts.iter().sum();
             if total.is_zero()

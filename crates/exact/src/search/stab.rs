@@ -292,10 +292,10 @@ impl Search<'_> {
             return Err(End::Open(Reason::Divisions));
         }
         self.cost.divisions += 1;
-        let (of, [from, to]) = widest(a, b);
+        let (which, [from, to]) = widest(a, b);
         let mut open = None;
-        for half in (if of == Which::A { a } else { b }).divided(from, to) {
-            let found = match of {
+        for half in (if which == Which::A { a } else { b }).divided(from, to) {
+            let found = match which {
                 Which::A => self.pair(&half, b, middle, depth + 1),
                 Which::B => self.pair(a, &half, middle, depth + 1),
             };

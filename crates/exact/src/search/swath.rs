@@ -47,9 +47,9 @@ pub fn vertex_and_edge(portals: &[Polygon], touched: &[EdgeOf]) -> Option<(EdgeO
 
 /// A swath of a corner and an edge bounds the lit space exactly when its plane separates their polygons.
 pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> (bool, Surface) {
-    let (of, other) = (portals[p].points(), portals[q].points());
+    let (first, other) = (portals[p].points(), portals[q].points());
     let ends = [&other[edge], &other[(edge + 1) % other.len()]];
-    let v = &of[corner];
+    let v = &first[corner];
     let sides = |points: &[Source]| -> BTreeSet<Ordering> {
         points
             .iter()
@@ -57,7 +57,7 @@ pub fn plane_of(portals: &[Polygon], [p, corner]: EdgeOf, [q, edge]: EdgeOf) -> 
             .filter(|o| *o != Ordering::Equal)
             .collect()
     };
-    let (a, b) = (sides(of), sides(other));
+    let (a, b) = (sides(first), sides(other));
     let is_boundary = a.len() == 1 && b.len() == 1 && a != b;
     let exact = [ends[0], ends[1], v].map(integers);
     let [x, y, z, k] = predicates::plane([&exact[0], &exact[1], &exact[2]]);
@@ -122,20 +122,20 @@ pub fn quadric_of(portals: &[Polygon], touched: &[EdgeOf]) -> [f64; 10] {
         ]
     };
     // The first three edges, of three polygons where there are as many.
-    let mut of: Vec<EdgeOf> = Vec::new();
+    let mut ordered_edges: Vec<EdgeOf> = Vec::new();
     for edge in touched {
-        if of.iter().all(|known| known[0] != edge[0]) {
-            of.push(*edge);
+        if ordered_edges.iter().all(|known| known[0] != edge[0]) {
+            ordered_edges.push(*edge);
         }
     }
-    of.extend(
+    ordered_edges.extend(
         touched
             .iter()
-            .filter(|e| !of.contains(e))
+            .filter(|e| !ordered_edges.contains(e))
             .copied()
             .collect::<Vec<_>>(),
     );
-    let lines: Vec<[[IBig; 4]; 2]> = of.into_iter().take(3).map(ends).collect();
+    let lines: Vec<[[IBig; 4]; 2]> = ordered_edges.into_iter().take(3).map(ends).collect();
     let through = |[a, b]: &[[IBig; 4]; 2]| -> [[IBig; 4]; 4] {
         std::array::from_fn(|i| std::array::from_fn(|j| &a[i] * &b[j] - &a[j] * &b[i]))
     };

@@ -121,7 +121,7 @@ impl Surfaces {
             }
         }
         let mut number = vec![None; n];
-        let (mut of, mut surfaces) = (vec![None; n], Vec::<Surface>::new());
+        let (mut surface_ids, mut surfaces) = (vec![None; n], Vec::<Surface>::new());
         for t in (0..n as u32).filter(|t| solid(*t)) {
             let root = sets.root(t);
             if !usable[root as usize] {
@@ -141,11 +141,11 @@ impl Surfaces {
             for v in scene.triangle(t) {
                 (s.min, s.max) = (s.min.min(*v), s.max.max(*v));
             }
-            of[t as usize] = Some(id);
+            surface_ids[t as usize] = Some(id);
         }
         let mut all = Self {
             sides: Vec::new(),
-            of,
+            of: surface_ids,
             surfaces,
         };
         all.sides = (0..n as u32)

@@ -74,8 +74,8 @@ impl Openness {
             return Err(OpennessError("it is not the openness of receivers"));
         };
         let has = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
-        let of = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
-        if (has, of) != (numbers.into(), points.into()) {
+        let stored_points = varint::read(&mut rest, varint::MOST_BYTES).map_err(cut)?;
+        if (has, stored_points) != (numbers.into(), points.into()) {
             return Err(OpennessError(
                 "it is of other receivers than the tile's, or of other lights",
             ));

@@ -1,8 +1,9 @@
-//! The receivers of a job of ambient occlusion as bytes: the points whose openness is asked for, in blocks,
-//! with how far occluders count. The client writes them, the coordinator checks them, and workers read them.
+//! The receivers of a job of ambient occlusion as bytes: the points whose openness a job computes, in
+//! blocks, and the settings of the computation. The client writes them, the coordinator checks them, and
+//! workers read them.
 //!
-//! `docs/formats/ambient.md` has the layout. Decoding trusts nothing: every count is checked against the
-//! bytes that are left before anything is allocated for it.
+//! `docs/formats/ambient.md` has the layout. A decoder checks every count against the
+//! remaining bytes before it allocates for them.
 
 use sightline_geometry::convex::Convex;
 
@@ -60,7 +61,7 @@ pub enum Falloff {
     Sqrt,
 }
 
-/// A point whose openness is asked for, in world space.
+/// A point whose openness the job computes, in world space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Receiver {
     /// The point.
@@ -71,22 +72,22 @@ pub struct Receiver {
     pub triangle: Option<u32>,
 }
 
-/// What is asked of all receivers.
+/// The settings that all receivers of a job share.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Asked {
+pub struct ReceiverSettings {
     /// Distance beyond which nothing hides, in units of the scene; may be infinite.
     pub distance: f64,
     /// How occluders within it count.
     pub falloff: Falloff,
-    /// Convex polygons whose form factors are asked for, in world space.
+    /// Convex polygons whose form factors the job computes, in world space.
     pub lights: Vec<Vec<[f64; 3]>>,
 }
 
 /// The receivers of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receivers {
-    /// What is asked of them.
-    pub asked: Asked,
+    /// Their settings.
+    pub settings: ReceiverSettings,
     /// How many receivers each block has, 1 to [`MOST_BLOCK`]. A block's receivers share a partition of rays.
     pub blocks: Vec<u32>,
     /// All receivers, in the order of the blocks.
@@ -136,11 +137,11 @@ impl Receivers {
     /// # Errors
     /// [`ReceiversError`] when [`Self::decode`] would refuse the bytes.
     pub fn encode(&self) -> Result<Vec<u8>, ReceiversError> {
-        let Asked {
+        let ReceiverSettings {
             distance,
             falloff,
             lights,
-        } = &self.asked;
+        } = &self.settings;
         let sum: u64 = self.blocks.iter().map(|n| u64::from(*n)).sum();
         if sum != self.receivers.len() as u64 {
             return Err(ReceiversError::Job(
@@ -182,7 +183,7 @@ impl Receivers {
     /// [`ReceiversError`] naming the first thing that cannot be used.
     pub fn decode(bytes: &[u8], triangles: u32) -> Result<Self, ReceiversError> {
         let mut receivers = Vec::new();
-        let (asked, blocks) = read(bytes, &mut |receiver, all| {
+        let (settings, blocks) = read(bytes, &mut |receiver, all| {
             if receivers.capacity() == 0 {
                 receivers.reserve_exact(all);
             }
@@ -197,7 +198,7 @@ impl Receivers {
             });
         }
         Ok(Self {
-            asked,
+            settings,
             blocks,
             receivers,
         })
@@ -208,15 +209,15 @@ impl Receivers {
         if tile >= tiles(self.receivers.len() as u32) {
             return None;
         }
-        let (mut of, mut start) = (Vec::new(), 0usize);
+        let (mut tile_blocks, mut start) = (Vec::new(), 0usize);
         for n in &self.blocks {
             let end = start + *n as usize;
             if start as u32 / TILE == tile {
-                of.push(self.receivers.get(start..end)?);
+                tile_blocks.push(self.receivers.get(start..end)?);
             }
             start = end;
         }
-        Some(of)
+        Some(tile_blocks)
     }
 }
 
@@ -227,7 +228,7 @@ impl Receivers {
 /// have.
 pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
     let (mut points, mut greatest) = (0u32, None);
-    let (asked, blocks) = read(bytes, &mut |receiver, _| {
+    let (settings, blocks) = read(bytes, &mut |receiver, _| {
         points += 1;
         greatest = greatest.max(receiver.triangle);
     })?;
@@ -243,7 +244,7 @@ pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
     starts.resize(tiles(points) as usize + 1, points);
     Ok(Facts {
         points,
-        lights: asked.lights.len() as u32,
+        lights: settings.lights.len() as u32,
         starts,
         greatest_triangle: greatest,
     })
@@ -294,7 +295,7 @@ fn is_finite(p: &[f64; 3]) -> bool {
 fn read(
     bytes: &[u8],
     take: &mut dyn FnMut(Receiver, usize),
-) -> Result<(Asked, Vec<u32>), ReceiversError> {
+) -> Result<(ReceiverSettings, Vec<u32>), ReceiversError> {
     use ReceiversError::{Damaged, Job};
     if bytes.len() as u64 > MOST_BYTES {
         return Err(Job(TOO_MANY));
@@ -316,12 +317,12 @@ fn read(
         1 => Falloff::Sqrt,
         _ => return Err(Damaged("their falloff is unknown")),
     };
-    let asked = Asked {
+    let settings = ReceiverSettings {
         distance,
         falloff,
         lights: lights(&mut r)?,
     };
-    computed(&asked)?;
+    computed(&settings)?;
     let count = r.count(4)?;
     let blocks = (0..count).map(|_| r.u32()).collect::<Result<Vec<_>, _>>()?;
     if blocks.iter().any(|n| !(1..=MOST_BLOCK).contains(n)) {
@@ -364,7 +365,7 @@ fn read(
             all as usize,
         );
     }
-    Ok((asked, blocks))
+    Ok((settings, blocks))
 }
 
 fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
@@ -393,9 +394,9 @@ fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
     Ok(lights)
 }
 
-/// Whether what is asked has an answer.
-fn computed(asked: &Asked) -> Result<(), ReceiversError> {
-    if asked.falloff != Falloff::None && asked.distance.is_infinite() {
+/// Checks that the settings have an answer.
+fn computed(settings: &ReceiverSettings) -> Result<(), ReceiversError> {
+    if settings.falloff != Falloff::None && settings.distance.is_infinite() {
         return Err(ReceiversError::Job(
             "falloff compares distances with theirs, which is infinite; give a finite one",
         ));
@@ -415,13 +416,13 @@ mod tests {
             normal: [0.0, 0.0, 2.0],
             triangle: (!i.is_multiple_of(3)).then_some(i % 7),
         };
-        let asked = Asked {
+        let settings = ReceiverSettings {
             distance: 2.0,
             falloff: Falloff::None,
             lights: Vec::new(),
         };
         Receivers {
-            asked,
+            settings,
             blocks: blocks.to_vec(),
             receivers: (0..all).map(receiver).collect(),
         }
@@ -451,14 +452,14 @@ mod tests {
             assert_eq!(facts.starts.len() as u32, tiles + 1, "{blocks:?}");
             let mut again = Vec::new();
             for tile in 0..tiles {
-                let of = receivers.of_tile(tile).unwrap();
-                let here: usize = of.iter().map(|block| block.len()).sum();
+                let tile_blocks = receivers.of_tile(tile).unwrap();
+                let here: usize = tile_blocks.iter().map(|block| block.len()).sum();
                 assert_eq!(
                     facts.receivers_of(tile),
                     Some(here as u32),
                     "{blocks:?}, tile {tile}"
                 );
-                again.extend(of.concat());
+                again.extend(tile_blocks.concat());
             }
             assert_eq!(again, receivers.receivers);
             assert!(receivers.of_tile(tiles).is_none() && facts.receivers_of(tiles).is_none());
@@ -475,7 +476,9 @@ mod tests {
             "{unknown}"
         );
         for distance in [0.0, -1.0, f64::NAN] {
-            assert!(refused(|r| r.asked.distance = distance).contains("distance is not above 0"));
+            assert!(
+                refused(|r| r.settings.distance = distance).contains("distance is not above 0")
+            );
         }
         for far in [f64::INFINITY, 1e39] {
             assert!(refused(|r| r.receivers[1].point[2] = far).contains("receiver 1"));
@@ -486,24 +489,24 @@ mod tests {
                 refused(|r| r.receivers[2].normal = [0.0, length, 0.0]).contains("no direction")
             );
         }
-        let darkens = Asked {
+        let darkens = ReceiverSettings {
             distance: f64::INFINITY,
             falloff: Falloff::Sqrt,
             lights: Vec::new(),
         };
-        assert!(refused(|r| r.asked = darkens.clone()).contains("falloff"));
-        assert!(refused(|r| r.asked.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
+        assert!(refused(|r| r.settings = darkens.clone()).contains("falloff"));
+        assert!(refused(|r| r.settings.lights = vec![vec![[0.0; 3]; 3]; 65]).contains("64"));
         assert!(refused(|r| r.blocks = vec![3, 0]).contains("block"));
         assert!(refused(|r| r.blocks = vec![4]).contains("blocks"));
         assert!(refused(|r| (r.blocks, r.receivers) = (Vec::new(), Vec::new())).contains("none"));
-        let infinite = Asked {
+        let infinite = ReceiverSettings {
             distance: f64::INFINITY,
             falloff: Falloff::None,
             lights: Vec::new(),
         };
         assert!(
             Receivers {
-                asked: infinite,
+                settings: infinite,
                 ..of_blocks(&[1])
             }
             .encode()
@@ -522,7 +525,7 @@ mod tests {
         let with = |change: &dyn Fn(&mut Vec<[f64; 3]>)| {
             let mut light = square.clone();
             change(&mut light);
-            refused(|r| r.asked.lights = vec![square.clone(), light])
+            refused(|r| r.settings.lights = vec![square.clone(), light])
         };
         let cases: [(&str, String); 8] = [
             ("it has 2 corners; give", with(&|l| l.truncate(2))),
@@ -556,12 +559,12 @@ mod tests {
                 "{what}: {said}"
             );
         }
-        let asked = Asked {
+        let settings = ReceiverSettings {
             lights: vec![square],
-            ..of_blocks(&[1]).asked
+            ..of_blocks(&[1]).settings
         };
         let lit = Receivers {
-            asked,
+            settings,
             ..of_blocks(&[1])
         };
         assert_eq!(

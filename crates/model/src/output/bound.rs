@@ -3,6 +3,9 @@
 //! Of n independent sight lines from a cell, m met a triangle that is not in the cell's set. The fraction of
 //! such lines is then at most [`upper_bound`] with confidence 1 − α. Check k of a cell spends α·2⁻ᵏ, so that
 //! the chance that any of a cell's bounds is wrong stays below α.
+//!
+//! The limit stays our own code: the crate `statrs` inverts the beta distribution to its own tolerance,
+//! and these bounds stand in result files, whose bytes would change with its version.
 
 use crate::statistics::CellStats;
 

@@ -233,41 +233,42 @@ mod tests {
         });
         let stats = CellStats::from_numbers(numbers).unwrap();
         assert_eq!(stats.numbers(), numbers);
-        let of = |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
+        let number_named =
+            |name: &str| numbers[CellStats::NAMES.iter().position(|n| *n == name).unwrap()];
         assert_eq!(
             [
-                of("rays_uniform"),
-                of("rays_flood"),
-                of("rays_candidate"),
-                of("rays_check")
+                number_named("rays_uniform"),
+                number_named("rays_flood"),
+                number_named("rays_candidate"),
+                number_named("rays_check")
             ],
             stats.rays
         );
         assert_eq!(
             [
-                of("finds_uniform"),
-                of("finds_flood"),
-                of("finds_candidate"),
-                of("finds_check")
+                number_named("finds_uniform"),
+                number_named("finds_flood"),
+                number_named("finds_candidate"),
+                number_named("finds_check")
             ],
             stats.finds
         );
         assert_eq!(
-            [of("rounds"), of("bound_look")],
+            [number_named("rounds"), number_named("bound_look")],
             [u64::from(stats.rounds), u64::from(stats.bound_look)]
         );
         assert_eq!(
-            [of("last_rays"), of("last_misses")],
+            [number_named("last_rays"), number_named("last_misses")],
             [stats.last_rays, stats.last_misses]
         );
         assert_eq!(
-            [of("bound_lines"), of("bound_misses")],
+            [number_named("bound_lines"), number_named("bound_misses")],
             [stats.bound_lines, stats.bound_misses]
         );
         let cells = [
-            of("bound_cell_lines"),
-            of("bound_cell_misses"),
-            of("bound_cell_look"),
+            number_named("bound_cell_lines"),
+            number_named("bound_cell_misses"),
+            number_named("bound_cell_look"),
         ];
         let own = [
             stats.bound_cell_lines,
@@ -276,9 +277,9 @@ mod tests {
         ];
         assert_eq!(cells, own);
         assert!(
-            of("unfinished") == 1
+            number_named("unfinished") == 1
                 && stats.unfinished
-                && of("spared") == 0
+                && number_named("spared") == 0
                 && !stats.raised_tolerance
         );
         // Beyond their ranges.

@@ -16,7 +16,7 @@ use sightline_trace::CubeRenderer;
 use sightline_trace::CubeScene;
 use sightline_trace::cube::CubeSpec;
 use sightline_trace::layers;
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{
     CellBox, Division, Lattice, LatticePoint, Split, Tile, TileKind, UNITS_PER_CELL,
 };
@@ -117,7 +117,7 @@ pub fn run(
                 }
             }
             if let Some(pairs) = joining::table(job) {
-                let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
+                let sight = SightLineTracer::new(job.backend, job.scene.traced())?.up_to(job.far);
                 work.rendered += joining::search(
                     job,
                     &sight,

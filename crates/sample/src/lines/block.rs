@@ -19,7 +19,7 @@ use sightline_trace::lines::tally::Tally;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::{Hashed, spread3};
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_trace::surface::Surface;
 use sightline_viewcells::part_mask::PARTS;
 
@@ -28,7 +28,7 @@ use super::ledger::Ledger;
 use super::on_device_state::OnDevice;
 use super::pace::Pace;
 use super::yields::Yields;
-use crate::context::{Places, Watcher};
+use crate::context::{ViewRegion, Watcher};
 use crate::crew::Crew;
 
 /// One lane in this many joins the cells that its line crosses: neighbouring lanes cross about the same
@@ -54,7 +54,7 @@ pub struct Tools<'a> {
     /// The rows of the table: triangles, or other items.
     pub rows: &'a Rows,
     /// The tracer of the lines.
-    pub sight: &'a Sight<'a>,
+    pub sight: &'a SightLineTracer<'a>,
     /// Seed of all choices.
     pub seed: u64,
     /// Receives the progress and can cancel the work.
@@ -64,7 +64,7 @@ pub struct Tools<'a> {
     /// Which cells see which; `None` when the job does not ask.
     pub pairs: Option<&'a Pairs>,
     /// The region that holds all viewpoints, if they are restricted to one.
-    pub places: Option<&'a dyn Places>,
+    pub places: Option<&'a dyn ViewRegion>,
     /// Those who share the work.
     pub crew: &'a dyn Crew,
     /// Who keeps account of the lines, if anybody does.
@@ -110,7 +110,7 @@ impl Cell {
 
     /// A viewpoint near fractions of its size: where viewpoints are in a region alone, the first of a spread
     /// sequence of points from there on that the region holds, or any point of the region in the cell.
-    pub(super) fn origin(&self, places: Option<&dyn Places>, f: impl Into<Vec3>) -> [f32; 3] {
+    pub(super) fn origin(&self, places: Option<&dyn ViewRegion>, f: impl Into<Vec3>) -> [f32; 3] {
         let f: Vec3 = f.into();
         let Some(places) = places else {
             return self.point(f);
@@ -124,7 +124,7 @@ impl Cell {
     /// parts ([`TRIES`]).
     pub(super) fn random_origin(
         &self,
-        places: Option<&dyn Places>,
+        places: Option<&dyn ViewRegion>,
         random: &mut Hashed,
     ) -> [f32; 3] {
         let first = self.point(random.point());
@@ -134,7 +134,11 @@ impl Cell {
         self.held(places, tries).unwrap_or(first)
     }
 
-    fn held(&self, places: &dyn Places, tries: impl Iterator<Item = [f32; 3]>) -> Option<[f32; 3]> {
+    fn held(
+        &self,
+        places: &dyn ViewRegion,
+        tries: impl Iterator<Item = [f32; 3]>,
+    ) -> Option<[f32; 3]> {
         tries
             .take(TRIES)
             .find(|p| places.hold(Vec3::from(*p)))

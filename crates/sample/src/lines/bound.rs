@@ -107,14 +107,14 @@ impl Block<'_> {
             if open.is_empty() || self.late() {
                 break;
             }
-            let of = |c: &usize| {
+            let plan_look = |c: &usize| {
                 let look = self.stats[*c].bound_cell_look + 1;
                 (
                     *c,
                     (look, ((LINES + f64::from(look - 1)) / most).ceil() as u64),
                 )
             };
-            let work: Vec<(usize, (u32, u64))> = open.iter().map(of).collect();
+            let work: Vec<(usize, (u32, u64))> = open.iter().map(plan_look).collect();
             self.each(&work, |block, s, (cell, (look, lines))| {
                 block.join_more(s, *cell, *look, *lines)
             })?;

@@ -169,15 +169,17 @@ impl Block<'_> {
     /// Keeps of the candidates of each item only the largest few, in the same order.
     fn largest_of_each(&self, list: &mut Vec<Candidate>) {
         let mut order: Vec<u32> = (0..list.len() as u32).collect();
-        let of = |i: &u32| &list[*i as usize];
+        let candidate_at = |i: &u32| &list[*i as usize];
         order.sort_by(|a, b| {
-            let (a, b) = (of(a), of(b));
+            let (a, b) = (candidate_at(a), candidate_at(b));
             self.row(a.triangle)
                 .cmp(&self.row(b.triangle))
                 .then(b.part.total_cmp(&a.part))
         });
         let mut kept: Vec<u32> = Vec::new();
-        for item in order.chunk_by(|a, b| self.row(of(a).triangle) == self.row(of(b).triangle)) {
+        for item in order.chunk_by(|a, b| {
+            self.row(candidate_at(a).triangle) == self.row(candidate_at(b).triangle)
+        }) {
             kept.extend(item.iter().take(TRIES_OF_ITEM));
         }
         kept.sort_unstable();
@@ -357,15 +359,15 @@ impl Block<'_> {
     /// What a ledger keeps of a try.
     fn account(&self, cell: usize, candidate: &Candidate, time: u32, found: bool) -> Try {
         let Candidate { triangle, part } = *candidate;
-        let of = &self.cells[cell];
+        let view_cell = &self.cells[cell];
         let faces = (0..6).filter(|face| {
-            self.beyond(of.at, *face)
+            self.beyond(view_cell.at, *face)
                 .is_some_and(|s| self.seen(triangle, s))
         });
         let neighbours = self.tools.surface.neighbours[triangle as usize];
         let beside = neighbours
             .iter()
-            .filter(|t| **t != SKY && self.seen(**t, of.slot));
+            .filter(|t| **t != SKY && self.seen(**t, view_cell.slot));
         let (faces, beside) = (faces.count() as u32, beside.count() as u32);
         Try {
             cell,

@@ -14,11 +14,11 @@ use sightline_trace::lines::grid::Slot;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::rows::Rows;
 use sightline_trace::sequence::{Hashed, spread3};
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_viewcells::{CellBox, UNITS_PER_CELL};
 
 use super::block::{Cell, LEAST_STEP};
-use crate::context::{JobContext, Places, TileError, Watcher};
+use crate::context::{JobContext, TileError, ViewRegion, Watcher};
 
 /// Viewpoints of a cell.
 const VIEWPOINTS: u32 = 32;
@@ -37,7 +37,7 @@ pub fn count(
     sets: &mut [CellSet],
     watcher: &dyn Watcher,
 ) -> Result<u64, TileError> {
-    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
+    let sight = SightLineTracer::new(job.backend, job.scene.traced())?.up_to(job.far);
     let rows = job.rows();
     let classes = job.scene.for_cubes(false).duplicates;
     let twins: BTreeMap<u32, &[u32]> = classes
@@ -103,7 +103,7 @@ struct Counter<'a> {
     /// For each triangle with duplicates, all of its class.
     twins: &'a BTreeMap<u32, &'a [u32]>,
     /// The region that holds all viewpoints, if they are restricted to one.
-    places: Option<&'a dyn Places>,
+    places: Option<&'a dyn ViewRegion>,
     visible: &'a [u32],
     /// For each visible item the lines of all viewpoints, of the present viewpoint, and the most of one.
     counts: Vec<[u32; 3]>,
@@ -113,7 +113,7 @@ impl Counter<'_> {
     fn from(
         &mut self,
         cell: &Cell,
-        sight: &Sight<'_>,
+        sight: &SightLineTracer<'_>,
         step: f32,
         mut random: Hashed,
     ) -> Result<Hits, TileError> {

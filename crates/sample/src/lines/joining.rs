@@ -14,13 +14,13 @@ use sightline_trace::lines::grid::{CellGrid, Crossed};
 use sightline_trace::lines::pairs::Pairs;
 use sightline_trace::packet::{LANES, Packet};
 use sightline_trace::sequence::Hashed;
-use sightline_trace::sight::{Passed, Sight};
+use sightline_trace::sight::{Passed, SightLineTracer};
 use sightline_viewcells::CellBox;
 
 use super::block::{Block, Cell, LEAST_STEP};
 use super::phase::{self, Items, Tables};
 use super::rounds::LEFT_AFTER_ROUND;
-use crate::context::{JobContext, Places, TileError, Watcher};
+use crate::context::{JobContext, TileError, ViewRegion, Watcher};
 
 /// Most segments from a cell in a round; of more open pairs a part is drawn.
 const MOST_SEGMENTS: usize = 512;
@@ -61,7 +61,7 @@ pub fn table(job: &JobContext<'_>) -> Option<Pairs> {
 /// [`TileError`] when it is cancelled or the backend fails.
 pub fn search(
     job: &JobContext<'_>,
-    sight: &Sight<'_>,
+    sight: &SightLineTracer<'_>,
     pairs: &Pairs,
     (within, rounds): (&CellBox, u32),
     watcher: &dyn Watcher,
@@ -174,14 +174,14 @@ type Cast<'a> = dyn Fn(&Segments<'_>, &Cell) -> Result<(u64, f64), TileError> + 
 
 /// The inputs of a round.
 struct Segments<'a> {
-    sight: &'a Sight<'a>,
+    sight: &'a SightLineTracer<'a>,
     pairs: &'a Pairs,
     /// The pairs before the round.
     before: &'a [u64],
     /// All cells of the division, by number.
     cells: &'a [Cell],
     /// The region that holds all viewpoints, if they are restricted to one.
-    places: Option<&'a dyn Places>,
+    places: Option<&'a dyn ViewRegion>,
     step: f32,
     seed: u64,
     round: u32,
@@ -286,7 +286,7 @@ impl Segments<'_> {
 }
 
 /// A random point of a cell: where viewpoints are, or anywhere in a cell without viewpoints.
-fn viewpoint(cell: &Cell, places: Option<&dyn Places>, random: &mut Hashed) -> [f32; 3] {
+fn viewpoint(cell: &Cell, places: Option<&dyn ViewRegion>, random: &mut Hashed) -> [f32; 3] {
     match cell.parts {
         0 => Cell {
             parts: u64::MAX,

@@ -250,7 +250,7 @@ impl Block<'_> {
             flood_steps: self.flood_steps,
         };
         let answer = |found: &Found| {
-            let of = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
+            let to_stats = |[rays, finds, flood, flood_finds]: &[u32; 4]| {
                 let mut s = CellStats::default();
                 s.rays[LineKind::Candidate as usize] = u64::from(*rays);
                 s.finds[LineKind::Candidate as usize] = u64::from(*finds);
@@ -258,7 +258,7 @@ impl Block<'_> {
                 s.finds[LineKind::Flood as usize] = u64::from(*flood_finds);
                 s
             };
-            found.counts.iter().map(of).collect()
+            found.counts.iter().map(to_stats).collect()
         };
         self.phase_on_device(open, &|rounds, on| rounds.aim(&wanted, &plan, on), &answer)
     }

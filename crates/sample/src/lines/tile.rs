@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use sightline_model::{CellSet, CellSets, Node, Stop};
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::{CellBox, Division, Tile, UNITS_PER_CELL};
 
 use super::block::Block;
@@ -26,7 +26,7 @@ pub fn run(
 ) -> Result<(CellSets, u64), TileError> {
     let start = Instant::now();
     let scene = job.scene.for_lines();
-    let sight = Sight::new(job.backend, job.scene.traced())?.up_to(job.far);
+    let sight = SightLineTracer::new(job.backend, job.scene.traced())?.up_to(job.far);
     let pairs = joining::table(job);
     // After the lines that look for triangles, which leave less to be joined. The rays of the sampler guided
     // join none.

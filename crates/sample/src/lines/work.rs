@@ -6,7 +6,7 @@ use sightline_scene::{Aabb, overlap};
 use sightline_trace::LineScene;
 use sightline_trace::lines::grid::CellGrid;
 use sightline_trace::lines::pairs::Pairs;
-use sightline_trace::sight::Sight;
+use sightline_trace::sight::SightLineTracer;
 use sightline_viewcells::CellBox;
 
 use super::block::{Block, Tools};
@@ -16,7 +16,7 @@ use crate::context::{JobContext, Watcher};
 pub struct Work<'a> {
     pub job: &'a JobContext<'a>,
     pub scene: LineScene<'a>,
-    pub sight: &'a Sight<'a>,
+    pub sight: &'a SightLineTracer<'a>,
     pub watcher: &'a dyn Watcher,
     /// Which cells see which; `None` when the job does not ask.
     pub pairs: Option<&'a Pairs>,

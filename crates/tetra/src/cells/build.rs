@@ -74,8 +74,8 @@ pub fn cells(
     cells.points = all.points.to_vec();
     cells.planes = table.planes;
     work.raw_planes(&mut cells);
-    let of = |t: usize| (first_cells[t]..first_cells[t + 1]).map(move |_| t as u32);
-    cells.finish((0..all.tetrahedra.len()).flat_map(of));
+    let repeat_per_cell = |t: usize| (first_cells[t]..first_cells[t + 1]).map(move |_| t as u32);
+    cells.finish((0..all.tetrahedra.len()).flat_map(repeat_per_cell));
     Ok((cells, counts))
 }
 

@@ -181,8 +181,8 @@ impl Checker<'_> {
         let mut turns = false;
         for k in 0..n {
             let [u, v, w] = [0, 1, 2].map(|s| &loops[(k + s) % n]);
-            let of = |x: usize| [&u[x], &v[x], &w[x]];
-            let turn = sign(&det3(of(i), of(j), of(3))) * up;
+            let row = |x: usize| [&u[x], &v[x], &w[x]];
+            let turn = sign(&det3(row(i), row(j), row(3))) * up;
             if turn < 0 {
                 return Err(Fault::NotConvex(face));
             }

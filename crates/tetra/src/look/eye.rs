@@ -79,8 +79,16 @@ impl<'a> Eye<'a> {
         if face.contains(&point) {
             return Some(true);
         }
-        let of = |p: u32| self.points.get(p as usize).map(|p| Vec3::from(*p));
-        Some(orient3d_sign(of(face[0])?, of(face[1])?, of(face[2])?, of(point)?).is_eq())
+        let position_of = |p: u32| self.points.get(p as usize).map(|p| Vec3::from(*p));
+        Some(
+            orient3d_sign(
+                position_of(face[0])?,
+                position_of(face[1])?,
+                position_of(face[2])?,
+                position_of(point)?,
+            )
+            .is_eq(),
+        )
     }
 
     /// The way to a point in integers.

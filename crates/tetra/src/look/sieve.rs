@@ -186,8 +186,8 @@ impl Sieve {
         let reach = a.abs().max(b.abs()).max(c.abs()).max_element();
         let most = |g: &Group| {
             let [x, y, z] = g.normals;
-            let of = |p: Vec3A| x * p.x + y * p.y + z * p.z;
-            of(a).max(of(b)).max(of(c)) + (g.constant + g.margin * reach)
+            let dot_normals = |p: Vec3A| x * p.x + y * p.y + z * p.z;
+            dot_normals(a).max(dot_normals(b)).max(dot_normals(c)) + (g.constant + g.margin * reach)
         };
         if self.bounds.iter().any(|g| most(g).cmplt(Vec4::ZERO).any()) {
             return None;

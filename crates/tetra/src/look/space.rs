@@ -40,10 +40,11 @@ impl<'a> Space<'a> {
         // The box's corners end the points.
         let corners = &cells.points[cells.points.len().saturating_sub(8)..];
         let side = (0..3).map(|k| {
-            let of = |start: f32, pick: fn(f32, f32) -> f32| {
+            let extreme = |start: f32, pick: fn(f32, f32) -> f32| {
                 corners.iter().map(|p| p[k]).fold(start, pick)
             };
-            f64::from(of(f32::NEG_INFINITY, f32::max)) - f64::from(of(f32::INFINITY, f32::min))
+            f64::from(extreme(f32::NEG_INFINITY, f32::max))
+                - f64::from(extreme(f32::INFINITY, f32::min))
         });
         // Twice the side is at least the power of two above it.
         Self {

@@ -106,7 +106,7 @@ impl Limits {
 
     /// The solid angle of a beam within the view's cone and another one.
     fn within(&self, ring: &[Edge], other: Option<Cone>) -> Option<f64> {
-        let of = |cones: &[Cone]| {
+        let clipped_area = |cones: &[Cone]| {
             if cones.is_empty() {
                 Some(area(ring))
             } else {
@@ -114,21 +114,21 @@ impl Limits {
             }
         };
         let Some(cone) = self.cone else {
-            return of(other.as_slice());
+            return clipped_area(other.as_slice());
         };
         let both = [Some(cone), other]
             .into_iter()
             .flatten()
             .collect::<Vec<_>>();
         if !self.complement {
-            return of(&both);
+            return clipped_area(&both);
         }
         // All of it in what is left out: a difference of rounded areas would not be 0.
         if is_within(ring, other.as_slice(), &cone) {
             return None;
         }
-        let all = of(other.as_slice())?;
-        Some((all - of(&both).unwrap_or_default()).max(0.0))
+        let all = clipped_area(other.as_slice())?;
+        Some((all - clipped_area(&both).unwrap_or_default()).max(0.0))
     }
 
     /// Whether a direction is within the cone, and a face that it meets nearer than the distance.

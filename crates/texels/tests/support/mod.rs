@@ -56,12 +56,12 @@ impl Maker {
             _ => 1,
         };
         let view = self.view(numbers.iter().flat_map(|f| f.to_le_bytes()).collect());
-        let of = |c: usize| numbers.iter().skip(c).step_by(n).copied();
+        let component_values = |c: usize| numbers.iter().skip(c).step_by(n).copied();
         let min: Vec<f32> = (0..n)
-            .map(|c| of(c).fold(f32::INFINITY, f32::min))
+            .map(|c| component_values(c).fold(f32::INFINITY, f32::min))
             .collect();
         let max: Vec<f32> = (0..n)
-            .map(|c| of(c).fold(f32::NEG_INFINITY, f32::max))
+            .map(|c| component_values(c).fold(f32::NEG_INFINITY, f32::max))
             .collect();
         self.push(
             "accessors",
@@ -314,10 +314,10 @@ impl Image {
             )
         };
         let ((x, xx, fx), (y, yy, fy)) = (place(uv[0], self.width), place(uv[1], self.height));
-        let of = |x: usize, y: usize| self.values[y * self.width + x];
+        let value_at = |x: usize, y: usize| self.values[y * self.width + x];
         let (above, below) = (
-            of(x, y) * (1.0 - fx) + of(xx, y) * fx,
-            of(x, yy) * (1.0 - fx) + of(xx, yy) * fx,
+            value_at(x, y) * (1.0 - fx) + value_at(xx, y) * fx,
+            value_at(x, yy) * (1.0 - fx) + value_at(xx, yy) * fx,
         );
         above * (1.0 - fy) + below * fy
     }

@@ -33,14 +33,18 @@ pub(super) fn drawing_order(scene: &Scene) -> Vec<u32> {
 /// Sort key: the size class, then the Morton code of the centre of the triangle's box. Without classes, a few
 /// large triangles would enlarge the boxes of clusters of small triangles.
 fn key(triangle: &Triangle, bounds: Aabb) -> u64 {
-    let of = |v: Vec3| v.as_dvec3();
-    let (size, b) = (of(bounds.max) - of(bounds.min), triangle.bounds());
-    let extent = (of(b.max) - of(b.min)).max_element() / size.max_element().max(f64::MIN_POSITIVE);
+    let to_double = |v: Vec3| v.as_dvec3();
+    let (size, b) = (
+        to_double(bounds.max) - to_double(bounds.min),
+        triangle.bounds(),
+    );
+    let extent = (to_double(b.max) - to_double(b.min)).max_element()
+        / size.max_element().max(f64::MIN_POSITIVE);
     let class = [0.25, 1.0 / 16.0, 1.0 / 64.0, 1.0 / 256.0]
         .iter()
         .filter(|limit| extent < **limit)
         .count();
-    let centre = (of(b.min) + of(b.max)) * 0.5 - of(bounds.min);
+    let centre = (to_double(b.min) + to_double(b.max)) * 0.5 - to_double(bounds.min);
     let cells = f64::from((1u32 << BITS) - 1);
     let code = (0..3).fold(0, |code, axis| {
         // The float-to-integer cast saturates, and an axis without extent gives 0 or NaN, which becomes 0.

@@ -153,9 +153,9 @@ mod tests {
             mix in prop::array::uniform4(-2i64..3),
         ) {
             let wide = |rows: [[i64; 6]; 5]| rows.map(|r| r.map(|c| IBig::from(c) << bits));
-            let of = wide(rows);
-            let x = cross(&of);
-            for row in &of {
+            let wide_rows = wide(rows);
+            let x = cross(&wide_rows);
+            for row in &wide_rows {
                 let sum: IBig = row.iter().zip(&x).map(|(a, b)| a * b).sum();
                 prop_assert!(sum.is_zero());
             }

@@ -104,21 +104,21 @@ mod tests {
                 };
                 DVec3::new(wide(points[i][0], 1), wide(points[i][1], 2), wide(points[i][2], 3))
             };
-            let of = [[at(0), at(1)], [at(2), at(3)], [at(4), at(5)]];
-            if let Some(known) = dependent(of) {
-                prop_assert_eq!(known, truth(of));
+            let lines = [[at(0), at(1)], [at(2), at(3)], [at(4), at(5)]];
+            if let Some(known) = dependent(lines) {
+                prop_assert_eq!(known, truth(lines));
             }
             // Large values: pencils, and lines one unit off.
             let large = |c: i32| (f64::from(c) * f64::powi(2.0, 36)).round() + f64::from(c * 5 + 1);
             let d = |i: usize| DVec3::from(points[i].map(large));
             for off in [0.0, 1.0] {
                 let third = d(0) * 2.0 + d(1) + DVec3::X * off;
-                let of = [[DVec3::ZERO, d(0)], [DVec3::ZERO, d(1)], [DVec3::ZERO, third]];
-                prop_assert_eq!(dependent(of), Some(truth(of)));
+                let lines = [[DVec3::ZERO, d(0)], [DVec3::ZERO, d(1)], [DVec3::ZERO, third]];
+                prop_assert_eq!(dependent(lines), Some(truth(lines)));
                 let third = [d(2) * 2.0 - d(4) + DVec3::Y * off, d(2) - d(4) + d(3)];
-                let of = [[d(2), d(3)], [d(4), d(4) + d(3) - d(2)], third];
-                if let Some(known) = dependent(of) {
-                    prop_assert_eq!(known, truth(of));
+                let lines = [[d(2), d(3)], [d(4), d(4) + d(3) - d(2)], third];
+                if let Some(known) = dependent(lines) {
+                    prop_assert_eq!(known, truth(lines));
                 }
             }
             // Lines from one point that are in a plane, and lines along one direction that are.

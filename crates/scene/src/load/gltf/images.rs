@@ -72,13 +72,13 @@ impl Document {
     /// The image of a texture; the fault in words when it has none that is there.
     pub(super) fn image(&self, texture: usize) -> Result<Image<'_>, String> {
         let count = self.textures.len();
-        let of = self
+        let texture_entry = self
             .textures
             .get(texture)
             .ok_or(format!("there are {count} textures"))?;
-        let number = of.source.ok_or_else(|| {
+        let number = texture_entry.source.ok_or_else(|| {
             // Images of other formats are in an extension. Many files have a PNG or JPEG beside them.
-            let extensions = of.extensions.as_ref().and_then(Value::as_object);
+            let extensions = texture_entry.extensions.as_ref().and_then(Value::as_object);
             let names: Vec<String> = extensions
                 .into_iter()
                 .flat_map(|e| e.keys())
@@ -97,7 +97,7 @@ impl Document {
             .images
             .get(number)
             .ok_or(format!("it names image {number} of {count}"))?;
-        let sampler = match of.sampler {
+        let sampler = match texture_entry.sampler {
             None => None,
             Some(s) => Some(
                 self.samplers

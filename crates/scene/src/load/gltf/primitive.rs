@@ -127,8 +127,8 @@ pub(super) fn coordinates(
     let indices = primitive.indices.map(|i| accessors.get(Role::Indices, i));
     let mode = mode(primitive).map_err(|why| source.bad(label(draw, p), why))?;
     for i in 0..u64::from(count) {
-        let mut of = Coordinates::default();
-        for (corner, uv) in corners_of(mode, i).into_iter().zip(&mut of) {
+        let mut uvs = Coordinates::default();
+        for (corner, uv) in corners_of(mode, i).into_iter().zip(&mut uvs) {
             let vertex = indices.map_or(corner, |indices| indices.index(corner));
             if vertex >= given.count() {
                 let n = given.count();
@@ -140,7 +140,7 @@ pub(super) fn coordinates(
             *uv = placed
                 .ok_or_else(|| bad(format!("the coordinates of vertex {vertex} are not finite")))?;
         }
-        out.push(of);
+        out.push(uvs);
     }
     Ok(())
 }

@@ -23,11 +23,11 @@ pub(super) fn local(node: &Node) -> Result<DAffine3, String> {
             }
         }
         None => {
-            let of = |v: &Option<Box<[f64; 3]>>| v.as_ref().map(|v| **v);
+            let unbox = |v: &Option<Box<[f64; 3]>>| v.as_ref().map(|v| **v);
             compose(
-                of(&node.translation),
+                unbox(&node.translation),
                 node.rotation.as_ref().map(|r| **r),
-                of(&node.scale),
+                unbox(&node.scale),
             )
             .ok_or("its rotation is not a unit quaternion")?
         }

@@ -89,10 +89,10 @@ fn points<const N: usize>() -> impl Strategy<Value = [[f32; 3]; N]> {
 
 /// Checks a conflict of every order of the corners that has a positive volume.
 fn check_conflict(all: &[[f32; 3]; 5]) -> Result<(), TestCaseError> {
-    let of = Predicates::new(all);
+    let predicates = Predicates::new(all);
     let at = |k: u32| all[k as usize];
     let mut corners = [0, 1, 2, 3];
-    let orient = of.orient(corners);
+    let orient = predicates.orient(corners);
     prop_assert_eq!(orient, true_orient(corners.map(at)));
     if orient == Ordering::Equal {
         return Ok(());
@@ -105,10 +105,10 @@ fn check_conflict(all: &[[f32; 3]; 5]) -> Result<(), TestCaseError> {
         true => Ordering::Greater,
         false => Ordering::Less,
     });
-    prop_assert_eq!(of.conflicts(corners, 4), truth == Ordering::Greater);
+    prop_assert_eq!(predicates.conflicts(corners, 4), truth == Ordering::Greater);
     // All three stages agree with the truth, where they decide.
     let rows = corners.map(|k| minus(at(k), at(4)));
-    if let Some((found, cofactors)) = of.conflicts_filtered(&rows) {
+    if let Some((found, cofactors)) = predicates.conflicts_filtered(&rows) {
         prop_assert_eq!(found, side);
         prop_assert!(found != Ordering::Equal || cofactors.map(sign) == signs);
     }
@@ -182,12 +182,14 @@ proptest! {
         e in -140i32..100,
     ) {
         let all = p.map(|q| q.map(|c| c as f32 * 2f32.powi(e)));
-        let of = Predicates::new(&all);
+        let predicates = Predicates::new(&all);
         let at = |k: u32| all[k as usize];
         let rows = [1, 2, 3].map(|k| minus(at(k), at(0)));
-        prop_assert_eq!(of.orient_filtered(&rows), Some(true_orient([0, 1, 2, 3].map(at))));
+        prop_assert_eq!(predicates.orient_filtered(&rows), Some(true_orient([0, 1, 2, 3].map(at))));
         let rows = [0, 1, 2, 3].map(|k| minus(at(k), at(4)));
-        let found = of.conflicts_filtered(&rows).map(|(side, cofactors)| (side, cofactors.map(sign)));
+        let found = predicates
+            .conflicts_filtered(&rows)
+            .map(|(side, cofactors)| (side, cofactors.map(sign)));
         let truth = true_conflict([0, 1, 2, 3].map(at), at(4));
         prop_assert_eq!(found, Some(truth));
         // The second stage could decide them, too.
@@ -207,11 +209,11 @@ proptest! {
         });
         // A unit far below all coordinates, so that no value counts as one of a lattice.
         all[4][0] = 2f32.powi(-60);
-        let of = Predicates::new(&all);
+        let predicates = Predicates::new(&all);
         let rows = [1, 2, 3].map(|k| minus(all[k], all[0]));
-        prop_assert_eq!(of.orient_filtered(&rows), Some(Ordering::Greater));
+        prop_assert_eq!(predicates.orient_filtered(&rows), Some(Ordering::Greater));
         let rows = [0, 1, 2, 3].map(|k| minus(all[k], all[4]));
-        prop_assert_eq!(of.conflicts_filtered(&rows).map(|f| f.0), Some(Ordering::Greater));
+        prop_assert_eq!(predicates.conflicts_filtered(&rows).map(|f| f.0), Some(Ordering::Greater));
         let x = all[4].map(f64::from);
         prop_assert_eq!(side_filtered([all[1], all[2], all[3]], x), Some(Ordering::Greater));
     }
@@ -251,6 +253,6 @@ fn half_orient_bound_gives_wrong_sign() {
 
 #[test]
 fn equal_points_are_the_same() {
-    let of = Predicates::new(&[[0.0, 1.0, 2.0], [-0.0, 1.0, 2.0], [0.0, 1.0, 3.0]]);
-    assert!(of.same(0, 1) && of.same(2, 2) && !of.same(0, 2));
+    let predicates = Predicates::new(&[[0.0, 1.0, 2.0], [-0.0, 1.0, 2.0], [0.0, 1.0, 3.0]]);
+    assert!(predicates.same(0, 1) && predicates.same(2, 2) && !predicates.same(0, 2));
 }

@@ -264,7 +264,7 @@ impl Rounds for GpuRounds<'_> {
                 ]
             })
             .collect();
-        let of = |part: Part| Part {
+        let with_plan = |part: Part| Part {
             items: items.len() as u32,
             round: plan.phase,
             times: plan.times,
@@ -274,7 +274,7 @@ impl Rounds for GpuRounds<'_> {
         };
         let (lent, mut encoder) = self.begin(&items)?;
         encoder.clear_buffer(&lent.places, 0, None);
-        let offset = self.part(lent, &of(Part::default()));
+        let offset = self.part(lent, &with_plan(Part::default()));
         self.run(
             &mut encoder,
             lent,
@@ -301,7 +301,7 @@ impl Rounds for GpuRounds<'_> {
             // Finds, lines, words and candidates, but not the tally.
             encoder.clear_buffer(&lent.counters, 0, Some(16));
             let mask = self.claims_for(2 * candidates);
-            let part = of(Part {
+            let part = with_plan(Part {
                 first: from,
                 count: to - from,
                 mask,
@@ -437,7 +437,7 @@ impl Rounds for GpuRounds<'_> {
         let any = u32::from(work.at_any);
         let items: Vec<[u32; 4]> = work.cells.iter().map(|c| [*c, work.most, any, 0]).collect();
         let (lent, mut encoder) = self.begin(&items)?;
-        let of = |first: usize, count: usize| Part {
+        let part_for = |first: usize, count: usize| Part {
             first: first as u32,
             count: count as u32,
             items: items.len() as u32,
@@ -445,7 +445,7 @@ impl Rounds for GpuRounds<'_> {
             way: SEGMENT,
             ..Part::default()
         };
-        let offset = self.part(lent, &of(0, items.len()));
+        let offset = self.part(lent, &part_for(0, items.len()));
         self.run(&mut encoder, lent, offset, &[Kernel::CountAims]);
         self.submit(encoder)?;
         // So many lines are expected of an item at most; a part leaves room for the chance of more.
@@ -455,7 +455,7 @@ impl Rounds for GpuRounds<'_> {
             if !goes_on(0) {
                 return self.end(lent, self.encoder(), 0);
             }
-            let offset = self.part(lent, &of(first, step.min(items.len() - first)));
+            let offset = self.part(lent, &part_for(first, step.min(items.len() - first)));
             let mut encoder = self.encoder();
             encoder.clear_buffer(&lent.counters, 4 * LINES, Some(4));
             use Kernel::*;

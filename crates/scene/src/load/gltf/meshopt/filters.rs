@@ -44,20 +44,20 @@ impl Filter {
             Self::Quaternion => bytes.chunks_exact_mut(8).for_each(quaternion),
             Self::Color if stride == 4 => bytes.chunks_exact_mut(4).for_each(|e| {
                 let signed = |i: usize| i32::from(e[i] as i8);
-                let of = color(
+                let rgba = color(
                     [i32::from(e[0]), signed(1), signed(2), i32::from(e[3])],
                     255.0,
                 );
-                e.copy_from_slice(&of.map(|c| c as u8));
+                e.copy_from_slice(&rgba.map(|c| c as u8));
             }),
             Self::Color => bytes.chunks_exact_mut(8).for_each(|e| {
                 let word = |i: usize| u16::from_le_bytes([e[2 * i], e[2 * i + 1]]);
                 let signed = |i: usize| i32::from(word(i) as i16);
-                let of = color(
+                let rgba = color(
                     [i32::from(word(0)), signed(1), signed(2), i32::from(word(3))],
                     65535.0,
                 );
-                e.copy_from_slice(of.map(|c| (c as u16).to_le_bytes()).as_flattened());
+                e.copy_from_slice(rgba.map(|c| (c as u16).to_le_bytes()).as_flattened());
             }),
         }
     }

@@ -1,0 +1,141 @@
+//! Counts of names that readers cannot understand. Each count may only fall: lower its limit here when it
+//! does.
+//!
+//! A constructor is `new`, `from_x` or `parse`, not `of`. A variable is a noun, not `of`. A parameter is not
+//! a tuple pattern: it is a struct, or its parts are separate parameters.
+
+#![allow(clippy::unwrap_used, reason = "helpers of tests")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The limit of functions named `of`.
+const FUNCTIONS: usize = 72;
+/// The limit of variables named `of`.
+const VARIABLES: usize = 0;
+/// The limit of parameters that are tuple patterns.
+const TUPLES: usize = 159;
+
+/// Returns the text of every source file of the workspace without comments, with its path.
+fn sources() -> Vec<(PathBuf, String)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let listed = Command::new("git")
+        .args([
+            "ls-files",
+            "--cached",
+            "--others",
+            "--exclude-standard",
+            "*.rs",
+        ])
+        .current_dir(root)
+        .output()
+        .unwrap();
+    let listed = String::from_utf8(listed.stdout).unwrap();
+    let read = |name: &str| {
+        let text = std::fs::read_to_string(root.join(name)).ok()?;
+        let lines = text.lines().map(|line| match line.find("//") {
+            Some(at) => &line[..at],
+            None => line,
+        });
+        Some((PathBuf::from(name), lines.collect::<Vec<_>>().join("\n")))
+    };
+    // This file has such names in its texts.
+    let others = listed
+        .lines()
+        .filter(|name| !name.ends_with("tests/style.rs"));
+    others.filter_map(read).collect()
+}
+
+/// Returns the number of occurrences of words in this order, with any white space between them.
+fn count_words(text: &str, words: [&str; 2]) -> usize {
+    let all: Vec<&str> = text
+        .split(|c: char| c.is_whitespace() || "(<:=;{},".contains(c))
+        .filter(|word| !word.is_empty() && *word != "mut")
+        .collect();
+    all.windows(2).filter(|pair| **pair == words).count()
+}
+
+/// Returns the number of parameters of functions that are tuple patterns.
+fn count_tuples(text: &str) -> usize {
+    let mut count = 0;
+    for (at, _) in text.match_indices("fn ") {
+        let Some(open) = text[at..].find(['(', '{', ';']).map(|open| at + open) else {
+            continue;
+        };
+        if !text[open..].starts_with('(') {
+            continue;
+        }
+        let (mut depth, mut begins) = (0, true);
+        for c in text[open..].chars() {
+            match c {
+                '(' => {
+                    count += usize::from(depth == 1 && begins);
+                    depth += 1;
+                    begins = depth == 1;
+                }
+                ')' => {
+                    depth -= 1;
+                    begins = false;
+                }
+                ',' if depth == 1 => begins = true,
+                c if c.is_whitespace() => {}
+                _ => begins = false,
+            }
+            if depth == 0 {
+                break;
+            }
+        }
+    }
+    count
+}
+
+/// Checks a count against its limit.
+#[track_caller]
+fn check(what: &str, limit: usize, count: impl Fn(&str) -> usize) {
+    let counts: Vec<(PathBuf, usize)> = sources()
+        .into_iter()
+        .map(|(path, text)| (path, count(&text)))
+        .filter(|(_, count)| *count > 0)
+        .collect();
+    let total: usize = counts.iter().map(|(_, count)| count).sum();
+    assert!(
+        total <= limit,
+        "{total} {what}, and the limit is {limit}: {counts:#?}"
+    );
+    assert!(
+        total == limit,
+        "{total} {what}: lower the limit in this file from {limit} to {total}"
+    );
+}
+
+#[test]
+fn functions_have_names() {
+    check("functions are named `of`", FUNCTIONS, |text| {
+        count_words(text, ["fn", "of"])
+    });
+}
+
+#[test]
+fn variables_are_nouns() {
+    check("variables are named `of`", VARIABLES, |text| {
+        count_words(text, ["let", "of"])
+    });
+}
+
+#[test]
+fn parameters_are_no_tuples() {
+    check("parameters are tuple patterns", TUPLES, count_tuples);
+}
+
+#[test]
+fn counters_count() {
+    let text =
+        "fn of(x: u8) {}\nfn of<T>((a, b): (u8, u8), c: u8, (d, e): (T, T)) { let mut of = 1; }\n";
+    assert_eq!(count_words(text, ["fn", "of"]), 2);
+    assert_eq!(count_words(text, ["let", "of"]), 1);
+    assert_eq!(count_tuples(text), 2);
+    assert_eq!(
+        count_tuples("fn f(x: impl Fn(u8) -> (u8, u8)) -> (u8, u8) {}"),
+        0
+    );
+}
