@@ -2,10 +2,12 @@
 //! does.
 //!
 //! A constructor is `new`, `from_x` or `parse`, not `of`. A variable is a noun, not `of`. A parameter is not
-//! a tuple pattern: it is a struct, or its parts are separate parameters.
+//! a tuple pattern: it is a struct, or its parts are separate parameters. A type has a
+//! name that no other type of its crate has.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests")]
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -15,6 +17,8 @@ const FUNCTIONS: usize = 72;
 const VARIABLES: usize = 0;
 /// The limit of parameters that are tuple patterns.
 const TUPLES: usize = 159;
+/// The number of type names that more than one file of a crate declares.
+const TYPES: usize = 5;
 
 /// Returns the text of every source file of the workspace without comments, with its path.
 fn sources() -> Vec<(PathBuf, String)> {
@@ -105,6 +109,57 @@ fn check(what: &str, limit: usize, count: impl Fn(&str) -> usize) {
     assert!(
         total == limit,
         "{total} {what}: lower the limit in this file from {limit} to {total}"
+    );
+}
+
+/// Returns the names of the types that the text of one file declares outside its tests. Types of functions
+/// and associated types are indented, and do not count.
+fn type_names(text: &str) -> BTreeSet<&str> {
+    let text = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
+    let declared = text.lines().filter_map(|line| {
+        let line = match line.strip_prefix("pub") {
+            Some(rest) => rest.split_once(' ')?.1,
+            None => line,
+        };
+        let (kind, rest) = line.split_once(' ')?;
+        let is_type = ["struct", "enum", "trait", "union", "type"].contains(&kind);
+        is_type.then(|| {
+            rest.split(|c: char| !c.is_alphanumeric() && c != '_')
+                .next()
+        })?
+    });
+    declared.collect()
+}
+
+#[test]
+fn type_names_occur_once_in_a_crate() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let mut files: BTreeMap<(PathBuf, String), Vec<PathBuf>> = BTreeMap::new();
+    for (path, text) in sources() {
+        let home = path
+            .ancestors()
+            .skip(1)
+            .find(|folder| root.join(folder).join("Cargo.toml").is_file())
+            .unwrap();
+        // Each program and each test program is another crate.
+        let inner = path.strip_prefix(home).unwrap();
+        let is_test = inner.iter().any(|part| {
+            let part = part.to_str().unwrap();
+            part == "tests" || part.ends_with("tests.rs")
+        });
+        if !inner.starts_with("src") || inner.starts_with("src/bin") || is_test {
+            continue;
+        }
+        for name in type_names(&text) {
+            let key = (home.to_owned(), name.to_owned());
+            files.entry(key).or_default().push(path.clone());
+        }
+    }
+    files.retain(|_, files| files.len() > 1);
+    let count = files.len();
+    assert_eq!(
+        count, TYPES,
+        "type names that occur in several files of a crate: {files:#?}"
     );
 }
 

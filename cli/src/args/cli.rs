@@ -17,7 +17,7 @@ use crate::args::remote::{
 };
 use crate::args::results::{CompletionsArgs, DiffArgs, ExportArgs, ManArgs, ReportArgs, ViewArgs};
 use crate::args::serve::{CoordinatorArgs, LogFormat, WorkerArgs};
-use crate::args::store::StoreArgs;
+use crate::args::store::StoreCommandArgs;
 use crate::args::tetra::{LookArgs, TetraArgs};
 use crate::args::tiles::{AssembleArgs, PlanArgs, TileArgs};
 use crate::args::token::TokenArgs;
@@ -99,7 +99,7 @@ pub enum Command {
     /// List the connected workers of a coordinator: what they do, and how fast they are.
     Workers(WorkersArgs),
     /// Check, compact, export and import the store of a coordinator that does not run.
-    Store(StoreArgs),
+    Store(StoreCommandArgs),
     /// Compute tiles again whose results are not believed any more: of a job, of a worker, of a time.
     Invalidate(InvalidateArgs),
     /// Print what happened to a job, or on the whole farm, with times.

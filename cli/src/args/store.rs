@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 
 #[derive(Args, Debug)]
-pub struct StoreArgs {
+pub struct StoreCommandArgs {
     #[command(subcommand)]
     pub command: StoreCommand,
 }
@@ -13,12 +13,12 @@ pub struct StoreArgs {
 #[derive(Subcommand, Debug)]
 pub enum StoreCommand {
     /// Check every record and every blob, and list the lost ones. Exit code 3 if records or blobs are lost.
-    Verify(VerifyArgs),
+    Verify(StoreVerifyArgs),
     /// Write the journal anew with what there is now, which is shorter. A coordinator does that itself at
     /// its start when it is worth it.
     Compact(PlaceArgs),
     /// Write all records to a file, one JSON line each. Blobs are files of their own.
-    Export(ExportArgs),
+    Export(StoreExportArgs),
     /// Read all records from such a file into an empty store.
     Import(ImportArgs),
     /// Copy all records of one store into another, empty one: from disk into PostgreSQL, or back.
@@ -52,7 +52,7 @@ pub struct PlaceArgs {
 }
 
 #[derive(Args, Debug)]
-pub struct VerifyArgs {
+pub struct StoreVerifyArgs {
     #[command(flatten)]
     pub place: PlaceArgs,
     /// Where the records are: sled:DIR, or postgres://USER@HOST/DATABASE with the password in PGPASSWORD. No
@@ -86,7 +86,7 @@ pub struct VerifyArgs {
 }
 
 #[derive(Args, Debug)]
-pub struct ExportArgs {
+pub struct StoreExportArgs {
     #[command(flatten)]
     pub place: PlaceArgs,
     /// The file to write.

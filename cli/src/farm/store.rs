@@ -20,7 +20,9 @@ use sightline_store::{
     BlobError, Damage, Entry, JournalError, Queries as _, Repaired, SledStore, Store, StoreError,
 };
 
-use crate::args::store::{ExportArgs, ImportArgs, PlaceArgs, StoreArgs, StoreCommand, VerifyArgs};
+use crate::args::store::{
+    ImportArgs, PlaceArgs, StoreCommand, StoreCommandArgs, StoreExportArgs, StoreVerifyArgs,
+};
 use crate::farm::coordinator::blob_place;
 use crate::farm::store_location::StorePlace;
 use crate::farm::store_migrate::{self, Opened};
@@ -33,7 +35,7 @@ const VERSION: u64 = 1;
 const MOST_LINE: u64 = 16 << 10;
 
 /// Runs `sightline store`.
-pub fn run(args: &StoreArgs, json: bool) -> Result<(), Error> {
+pub fn run(args: &StoreCommandArgs, json: bool) -> Result<(), Error> {
     match &args.command {
         StoreCommand::Verify(args) => verify(args, json),
         StoreCommand::Compact(args) => compact(args, json),
@@ -83,7 +85,7 @@ struct Outcome {
     ownership: Ownership,
 }
 
-fn verify(args: &VerifyArgs, json: bool) -> Result<(), Error> {
+fn verify(args: &StoreVerifyArgs, json: bool) -> Result<(), Error> {
     let folder = match args.store.as_deref().filter(|text| !text.is_empty()) {
         None => Some(state(&args.place)?),
         Some(text) => match StorePlace::parse(text, args.store_ca.as_deref())? {
@@ -167,7 +169,7 @@ fn verify(args: &VerifyArgs, json: bool) -> Result<(), Error> {
 
 /// Checks the records and the blobs, repairs lost outputs if `--repair` is given, and claims the blobs if
 /// `--claim-blobs` is given.
-fn look(args: &VerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
+fn look(args: &StoreVerifyArgs, store: &dyn Store) -> Result<Outcome, Error> {
     let mut config = Config::new(args.place.data_dir.clone());
     config.blobs = blob_place(args.blobs.as_deref(), false)?;
     let folder = args.place.data_dir.join("blobs");
@@ -357,7 +359,7 @@ impl<W: Write> Write for Hashed<W> {
     }
 }
 
-fn export(args: &ExportArgs, json: bool) -> Result<(), Error> {
+fn export(args: &StoreExportArgs, json: bool) -> Result<(), Error> {
     let output = Output::check(&args.output, Format::Json, None)?;
     let entries = open(&args.place)?.entries().map_err(of_store)?;
     let count = entries.len();

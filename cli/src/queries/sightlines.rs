@@ -23,7 +23,7 @@ use crate::terminal::stdout::print;
 
 /// One line of the input.
 #[derive(Deserialize)]
-struct Line {
+struct SightlineInput {
     #[serde(default)]
     id: Value,
     a: Vec<[f64; 3]>,
@@ -31,7 +31,7 @@ struct Line {
 }
 
 /// A checked query.
-struct Query {
+struct SightlineQuery {
     id: Value,
     a: Vec<Polygon>,
     b: Vec<Polygon>,
@@ -160,7 +160,7 @@ fn report(totals: &Totals, took: std::time::Duration, checked: bool) {
 /// Answers one query; returns the answer as JSON, the verdict and its cost.
 fn answer(
     scene: &Occluders,
-    query: &Query,
+    query: &SightlineQuery,
     limits: &Limits,
     raw: &Blocking,
     check: bool,
@@ -208,11 +208,11 @@ fn answer(
     Ok((value, verdict, cost))
 }
 
-fn checked(line: Line) -> Result<Query, String> {
+fn checked(line: SightlineInput) -> Result<SightlineQuery, String> {
     let polygon = |name: &str, corners: &[[f64; 3]]| {
         let corners: Vec<DVec3> = corners.iter().map(|c| DVec3::from(*c)).collect();
         Polygon::checked(&corners).map_err(|e| format!("polygon {name}: {e}"))
     };
     let (a, b) = (polygon("a", &line.a)?, polygon("b", &line.b)?);
-    Ok(Query { id: line.id, a, b })
+    Ok(SightlineQuery { id: line.id, a, b })
 }

@@ -23,7 +23,7 @@ const MOST_DIGITS: usize = 80;
 
 /// One line of the input.
 #[derive(Deserialize)]
-struct Line {
+struct StabInput {
     #[serde(default)]
     id: Value,
     portals: Vec<Vec<[Coordinate; 3]>>,
@@ -38,7 +38,7 @@ enum Coordinate {
 }
 
 /// A checked query.
-struct Query {
+struct StabQuery {
     id: Value,
     portals: Vec<Polygon>,
 }
@@ -87,7 +87,7 @@ pub fn run(args: &StabArgs) -> Result<(), Error> {
     ended
 }
 
-fn answer(query: &Query, limits: &Limits, with_swaths: bool) -> (usize, Value) {
+fn answer(query: &StabQuery, limits: &Limits, with_swaths: bool) -> (usize, Value) {
     let start = Instant::now();
     let (found, _) = stab(&query.portals, limits, &|| false);
     let micros = start.elapsed().as_micros() as u64;
@@ -183,7 +183,7 @@ fn in_order(portals: &[Polygon], [p, q]: &[Source; 2]) -> bool {
             .all(|w| &w[0].0 * &w[1].1 < &w[1].0 * &w[0].1)
 }
 
-fn check(line: Line) -> Result<Query, String> {
+fn check(line: StabInput) -> Result<StabQuery, String> {
     if line.portals.is_empty() {
         return Err("it has no polygons; give at least one".to_owned());
     }
@@ -193,7 +193,7 @@ fn check(line: Line) -> Result<Query, String> {
             .and_then(|corners| Polygon::exact(corners).map_err(|e| e.to_string()))
             .map_err(|why| format!("polygon {k}: {why}"))
     });
-    Ok(Query {
+    Ok(StabQuery {
         portals: portals.collect::<Result<_, _>>()?,
         id: line.id,
     })

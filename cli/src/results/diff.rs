@@ -76,7 +76,7 @@ impl Runs {
 }
 
 /// How the items of two results are compared.
-enum Items {
+enum ComparedItems {
     /// Triangles by number: both results are of one scene, or of scenes with the same objects.
     Triangles,
     /// Objects by name: for each object of the older result the number of its name, and of the newer one.
@@ -121,8 +121,8 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
     let total = |count: &dyn Fn(&Change) -> usize| changed.iter().map(|c| count(c)).sum::<usize>();
     let (came, went) = (total(&|c| c.came.count()), total(&|c| c.went.count()));
     let what = match &items {
-        Items::Triangles => "triangles",
-        Items::Objects { .. } => "objects",
+        ComparedItems::Triangles => "triangles",
+        ComparedItems::Objects { .. } => "objects",
     };
     if let Some(output) = &output {
         let scene = args
@@ -192,7 +192,7 @@ pub fn run(args: &DiffArgs, json: bool) -> Result<(), Error> {
             )),
         ));
         let is_other =
-            matches!(items, Items::Triangles) && older.granularity() != newer.granularity();
+            matches!(items, ComparedItems::Triangles) && older.granularity() != newer.granularity();
         line(match is_bounded {
             true => format!("beyond what sampling may miss: {}", plural(beyond, "cell")),
             false if misses_nothing(older) && misses_nothing(newer) => {
@@ -262,7 +262,7 @@ fn same_cells(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<(), Error> {
 }
 
 /// How the items of both results are compared.
-fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, Error> {
+fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<ComparedItems, Error> {
     let ranges = |pvs: &Pvs| -> Vec<(String, u32, u32)> {
         pvs.objects()
             .iter()
@@ -270,7 +270,7 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, Error> {
             .collect()
     };
     if !args.objects && ranges(older) == ranges(newer) {
-        return Ok(Items::Triangles);
+        return Ok(ComparedItems::Triangles);
     }
     let numbered = |pvs: &Pvs| -> Result<BTreeSet<String>, Error> {
         let names: BTreeSet<String> = pvs.objects().iter().map(|o| o.name.clone()).collect();
@@ -289,11 +289,11 @@ fn items(args: &DiffArgs, older: &Pvs, newer: &Pvs) -> Result<Items, Error> {
             |o: &sightline_pvs::Object| names.binary_search(&o.name).map_or(0, |n| n as u32);
         pvs.objects().iter().map(number).collect()
     });
-    Ok(Items::Objects { names, of: numbers })
+    Ok(ComparedItems::Objects { names, of: numbers })
 }
 
 /// The changes of all cells with viewpoints in either result, in their order.
-fn changes(results: &[Pvs; 2], items: &Items) -> Result<Vec<Change>, Error> {
+fn changes(results: &[Pvs; 2], items: &ComparedItems) -> Result<Vec<Change>, Error> {
     let bounds = [
         info_cells::bounds_of_cells(&results[0])?,
         info_cells::bounds_of_cells(&results[1])?,
@@ -349,13 +349,13 @@ fn misses_nothing(pvs: &Pvs) -> bool {
 }
 
 /// The set of a cell and its undecided part, as items that both results number alike.
-fn set(pvs: &Pvs, items: &Items, result: usize, cell: u32) -> Result<[Runs; 2], PvsError> {
+fn set(pvs: &Pvs, items: &ComparedItems, result: usize, cell: u32) -> Result<[Runs; 2], PvsError> {
     match items {
-        Items::Triangles => Ok([
+        ComparedItems::Triangles => Ok([
             Runs(pvs.visible_bounds(cell)?),
             Runs(pvs.undecided_bounds(cell)?),
         ]),
-        Items::Objects { of, .. } => {
+        ComparedItems::Objects { of, .. } => {
             let (mut visible, mut undecided) = (Vec::new(), Vec::new());
             pvs.visible_objects(cell, &mut visible)?;
             pvs.undecided_objects(cell, &mut undecided)?;
@@ -370,10 +370,10 @@ fn set(pvs: &Pvs, items: &Items, result: usize, cell: u32) -> Result<[Runs; 2], 
 
 /// The least share of the view that some items of a cell take together, on average over its viewpoints;
 /// `None` without contributions of such items.
-fn share(pvs: &Pvs, items: &Items, cell: u32, of: &Runs) -> Result<Option<f64>, Error> {
+fn share(pvs: &Pvs, items: &ComparedItems, cell: u32, of: &Runs) -> Result<Option<f64>, Error> {
     let is_one = matches!(
         (items, pvs.granularity()),
-        (Items::Triangles, Granularity::Triangles)
+        (ComparedItems::Triangles, Granularity::Triangles)
     );
     let Some(all) = pvs.contributions(cell)?.filter(|_| is_one) else {
         return Ok(None);
@@ -390,15 +390,19 @@ fn share(pvs: &Pvs, items: &Items, cell: u32, of: &Runs) -> Result<Option<f64>, 
 }
 
 /// For each object, in how many cells something of it came or went; those in most cells first.
-fn objects(results: &[Pvs; 2], items: &Items, changed: &[&Change]) -> Vec<(String, [usize; 2])> {
+fn objects(
+    results: &[Pvs; 2],
+    items: &ComparedItems,
+    changed: &[&Change],
+) -> Vec<(String, [usize; 2])> {
     let named = |result: usize, of: &Runs| -> BTreeSet<String> {
         let each = of.0.chunks_exact(2);
         match items {
-            Items::Objects { names, .. } => each
+            ComparedItems::Objects { names, .. } => each
                 .flat_map(|run| run[0]..run[1])
                 .map(|id| names[id as usize].clone())
                 .collect(),
-            Items::Triangles => {
+            ComparedItems::Triangles => {
                 let objects = results[result].objects();
                 let touched = |run: &[u32]| {
                     let first = objects.partition_point(|o| o.first + o.count <= run[0]);

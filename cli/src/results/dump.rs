@@ -56,7 +56,7 @@ pub fn run(args: &DumpArgs) -> Result<(), Error> {
                 ),
                 false => None,
             };
-            let line = Line {
+            let line = CellLine {
                 cell,
                 min,
                 max,
@@ -142,7 +142,7 @@ impl Serialize for Clusters<'_> {
 
 /// The line of a cell.
 #[derive(Serialize)]
-struct Line {
+struct CellLine {
     cell: u32,
     min: [f64; 3],
     max: [f64; 3],

@@ -21,7 +21,7 @@ const SHARES: f64 = 1e5;
 /// One line of the input.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Line {
+struct PortalInput {
     #[serde(default)]
     id: Value,
     eye: [f64; 3],
@@ -57,7 +57,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
     let example =
         r#"{"id":1,"eye":[x,y,z],"dir":[x,y,z],"up":[x,y,z],"fov":[90,60],"shut":["door"]}"#;
     let mut input = JsonLines::open(&args.points, "--points", example)?;
-    let check = |line: Line| {
+    let check = |line: PortalInput| {
         let number = |name: &String| {
             doors.binary_search(name).map_err(|_| match doors {
                 [] => format!("there is no door {name:?}: the result has no doors"),
@@ -72,7 +72,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
         let shut: Vec<usize> = line.shut.iter().map(number).collect::<Result<_, _>>()?;
         Ok((line, shut))
     };
-    let mut answer = |(line, shut): (Line, Vec<usize>)| {
+    let mut answer = |(line, shut): (PortalInput, Vec<usize>)| {
         (0..doors.len()).for_each(|door| looker.shut(door, shut.contains(&door)));
         let view = View {
             eye: line.eye,
@@ -94,7 +94,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
             count: (share * SHARES).round() as u64,
         })
     };
-    let answers = |queries: Vec<(Line, Vec<usize>)>| {
+    let answers = |queries: Vec<(PortalInput, Vec<usize>)>| {
         let mut all = Vec::with_capacity(queries.len());
         for query in queries {
             let answer = answer(query);

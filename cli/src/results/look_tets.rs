@@ -24,7 +24,7 @@ const FOV: f64 = 90.0;
 /// One line of the input.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Line {
+struct ViewpointInput {
     #[serde(default)]
     id: Value,
     point: [f64; 3],
@@ -46,7 +46,7 @@ struct TargetLine {
 }
 
 /// A point and what is asked about it.
-struct Query {
+struct ViewpointQuery {
     id: Value,
     point: [f64; 3],
     view: View,
@@ -97,8 +97,8 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
         LookEngine::Bvh => Some(Engine::Boxes),
     };
     let pool: Mutex<Vec<Scratch>> = Mutex::default();
-    let answers = |mut queries: Vec<Query>| {
-        if let (None, Some(Query { point, view, .. })) = (engine, queries.first()) {
+    let answers = |mut queries: Vec<ViewpointQuery>| {
+        if let (None, Some(ViewpointQuery { point, view, .. })) = (engine, queries.first()) {
             // What is wrong with the first point is told with its line.
             engine = tets
                 .faster(*point, view, mode, &mut Scratch::default())
@@ -123,7 +123,7 @@ pub fn run(args: &LookArgs) -> Result<(), Error> {
         });
         all.collect()
     };
-    let check = |line: Line| query(line, args.witnesses);
+    let check = |line: ViewpointInput| query(line, args.witnesses);
     let (ended, medians) = look_lines::answer(&mut input, check, answers, "points");
     if let (Some(nanos), Some(count)) = (medians.nanos.get(), medians.count.get()) {
         say(&format!(
@@ -156,8 +156,8 @@ fn mode(args: &LookArgs) -> Result<Mode, Error> {
     }
 }
 
-fn query(line: Line, witnesses: bool) -> Result<Query, String> {
-    let Line {
+fn query(line: ViewpointInput, witnesses: bool) -> Result<ViewpointQuery, String> {
+    let ViewpointInput {
         id,
         point,
         direction,
@@ -190,7 +190,7 @@ fn query(line: Line, witnesses: bool) -> Result<Query, String> {
         witnesses,
         ..View::default()
     };
-    Ok(Query {
+    Ok(ViewpointQuery {
         id,
         point,
         view,
@@ -199,8 +199,8 @@ fn query(line: Line, witnesses: bool) -> Result<Query, String> {
 }
 
 impl Answering<'_> {
-    fn answer(&self, query: Query, scratch: &mut Scratch) -> Result<Answer, LookError> {
-        let Query {
+    fn answer(&self, query: ViewpointQuery, scratch: &mut Scratch) -> Result<Answer, LookError> {
+        let ViewpointQuery {
             id,
             point,
             view,

@@ -195,7 +195,7 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> 
     if json {
         let [min, max] = corners(pvs, cell);
         let items = args.items.name();
-        return print_json(&Answer {
+        return print_json(&CellAnswer {
             cell,
             min,
             max,
@@ -248,7 +248,7 @@ fn set(pvs: &Pvs, cell: u32, args: &QueryArgs, json: bool) -> Result<(), Error> 
 
 /// The set of a cell as JSON.
 #[derive(Serialize)]
-struct Answer {
+struct CellAnswer {
     cell: u32,
     min: [f64; 3],
     max: [f64; 3],

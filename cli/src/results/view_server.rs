@@ -32,7 +32,7 @@ struct Served {
 
 /// What the page asks.
 #[derive(Clone, Copy, Debug, Deserialize)]
-struct Question {
+struct PageQuestion {
     cell: u32,
     triangle: u32,
 }
@@ -103,7 +103,7 @@ async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes)
     {
         return refuse("ask with content-type: application/json");
     }
-    let asked: Question = match serde_json::from_slice(&body) {
+    let asked: PageQuestion = match serde_json::from_slice(&body) {
         Ok(asked) => asked,
         Err(e) => return refuse(&format!("ask as {{\"cell\":0,\"triangle\":0}}: {e}")),
     };
@@ -120,7 +120,10 @@ async fn why(State(served): State<Arc<Served>>, headers: HeaderMap, body: Bytes)
     }
 }
 
-fn answer(served: &Served, Question { cell, triangle }: Question) -> Result<String, String> {
+fn answer(
+    served: &Served,
+    PageQuestion { cell, triangle }: PageQuestion,
+) -> Result<String, String> {
     let Served {
         pvs, scene, result, ..
     } = served;

@@ -14,7 +14,7 @@ use crate::blobs::ownership;
 use crate::blobs::references::{self, KeepingError};
 use crate::jobs::control::JobError;
 use crate::jobs::delete;
-use crate::jobs::retention_clock::{Age, Kind};
+use crate::jobs::retention_clock::{Age, SpanUse};
 use crate::records::{JobChanges, OutputRemoval};
 use crate::state::Coordinator;
 use crate::telemetry::events::{self, LogEvent};
@@ -24,7 +24,7 @@ const OTHER_CLOCKS: Duration = Duration::from_secs(15 * 60);
 
 /// Something that stands in the way.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum RetentionFault {
     #[error(transparent)]
     Keeping(#[from] KeepingError),
     #[error(transparent)]
@@ -55,7 +55,8 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         changes.finish().run(c);
     };
     let grace = c.retention.grace;
-    let is_old = |digest: &Digest, written| is_old_blob(c, Kind::Blobs, (digest, written), grace);
+    let is_old =
+        |digest: &Digest, written| is_old_blob(c, SpanUse::Blobs, (digest, written), grace);
     match references::sweep(c.store.queries(), &*c.blobs, &is_old, &alone) {
         Ok((0, _)) => {}
         Ok((blobs, bytes)) => {
@@ -74,7 +75,7 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
         && c.store.may_change().is_ok()
     {
         // The times are of the bucket's clock. A time in the future comes right with the wall clock.
-        let is_old = |written| blob_age(c, Kind::Blobs, written, grace) == Age::Old;
+        let is_old = |written| blob_age(c, SpanUse::Blobs, written, grace) == Age::Old;
         match direct.sweep(&is_old) {
             Ok(0) => {}
             Ok(count) => {
@@ -88,7 +89,7 @@ pub(crate) fn tidy_up(c: &Arc<Coordinator>) {
 }
 
 /// Returns the age of a blob with this time.
-fn blob_age(c: &Coordinator, kind: Kind, written: SystemTime, age: Duration) -> Age {
+fn blob_age(c: &Coordinator, kind: SpanUse, written: SystemTime, age: Duration) -> Age {
     // A server of files has another clock; buckets answer only requests whose clock is this close to theirs.
     let written = written.duration_since(UNIX_EPOCH).unwrap_or_default();
     let written = written
@@ -103,7 +104,7 @@ fn blob_age(c: &Coordinator, kind: Kind, written: SystemTime, age: Duration) -> 
 /// its age counts from the first look at it.
 fn is_old_blob(
     c: &Coordinator,
-    kind: Kind,
+    kind: SpanUse,
     (digest, written): (&Digest, SystemTime),
     age: Duration,
 ) -> bool {
@@ -118,7 +119,7 @@ fn is_old_blob(
     }
 }
 
-fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {
+fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), RetentionFault> {
     tracing::info!("job {job} is deleted: {why}");
     match delete::delete(c, job) {
         // Somebody was faster, or it is tried again.
@@ -131,7 +132,7 @@ fn delete(c: &Arc<Coordinator>, job: JobId, why: &str) -> Result<(), Fault> {
 }
 
 /// Returns the ended jobs with the times of their ends, ascending by number: times may be wrong.
-fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, Fault> {
+fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, RetentionFault> {
     let with_end_time = |job: JobRecord| {
         job.finished_at_ms
             .filter(|_| job.state.phase().ended())
@@ -144,13 +145,13 @@ fn ended(c: &Coordinator) -> Result<Vec<(u64, JobRecord)>, Fault> {
         .collect())
 }
 
-fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
+fn old_jobs(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
     let Some(keep) = c.retention.keep else {
         return Ok(());
     };
     let now = c.now();
     for (at, job) in ended(c)? {
-        let age = c.retention_clock().age(Kind::Jobs, at, keep, now);
+        let age = c.retention_clock().age(SpanUse::Jobs, at, keep, now);
         if matches!(age, Age::Old | Age::Future) {
             delete(c, job.id, "it ended longer ago than jobs are kept")?;
         }
@@ -158,7 +159,7 @@ fn old_jobs(c: &Arc<Coordinator>) -> Result<(), Fault> {
     Ok(())
 }
 
-fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
+fn many_bytes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
     let Some(most) = c.retention.keep_bytes else {
         return Ok(());
     };
@@ -217,14 +218,14 @@ fn many_bytes(c: &Arc<Coordinator>) -> Result<(), Fault> {
 }
 
 /// Scenes that no job names any more, and that were sent longer ago than jobs are kept.
-fn old_scenes(c: &Arc<Coordinator>) -> Result<(), Fault> {
+fn old_scenes(c: &Arc<Coordinator>) -> Result<(), RetentionFault> {
     let Some(keep) = c.retention.keep else {
         return Ok(());
     };
     for scene in c.store.scenes()? {
         let written = c.blobs.written(&scene.digest).map_err(KeepingError::from)?;
         // One whose blob is lost can only be sent again.
-        if written.is_none_or(|at| is_old_blob(c, Kind::Jobs, (&scene.digest, at), keep)) {
+        if written.is_none_or(|at| is_old_blob(c, SpanUse::Jobs, (&scene.digest, at), keep)) {
             let mut changes = JobChanges::begin(c);
             let deleted = changes.delete_scene(scene.digest);
             changes.finish().run(c);

@@ -42,7 +42,7 @@ const MAX_UNSTAMPED_MS: u64 = 2 * STAMP_MS;
 
 /// The use of a trusted span.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Kind {
+pub(crate) enum SpanUse {
     /// The age of ended jobs and of scenes that no job names.
     Jobs,
     /// The age of blobs that no record names.
@@ -76,7 +76,7 @@ pub(crate) enum Age {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Pause {
     /// The deletions that pause.
-    pub(crate) kind: Kind,
+    pub(crate) kind: SpanUse,
     /// The advance of the wall clock compared with the monotonic clock, or with the last stamp.
     pub(crate) jump_ms: i64,
     /// True if no coordinator ran in the time of the advance, which may be downtime. Then deletions are late
@@ -156,9 +156,9 @@ impl RetentionClock {
         if let Some(last) = last {
             let gap = difference(now.unix_ms, last.wall_ms);
             this.jobs
-                .add_gap(gap, Kind::Jobs, ages.jobs, &mut this.pauses);
+                .add_gap(gap, SpanUse::Jobs, ages.jobs, &mut this.pauses);
             this.blobs
-                .add_gap(gap, Kind::Blobs, ages.blobs, &mut this.pauses);
+                .add_gap(gap, SpanUse::Blobs, ages.blobs, &mut this.pauses);
         }
         this
     }
@@ -166,10 +166,10 @@ impl RetentionClock {
     /// Compares the clocks. Every time that a record gets has to be observed before.
     pub(crate) fn observe(&mut self, now: Moment, ages: Ages) {
         let reading = self.reading(now);
-        for (kind, age) in [(Kind::Jobs, ages.jobs), (Kind::Blobs, ages.blobs)] {
+        for (kind, age) in [(SpanUse::Jobs, ages.jobs), (SpanUse::Blobs, ages.blobs)] {
             let span = match kind {
-                Kind::Jobs => &mut self.jobs,
-                Kind::Blobs => &mut self.blobs,
+                SpanUse::Jobs => &mut self.jobs,
+                SpanUse::Blobs => &mut self.blobs,
             };
             if span.observe(reading, kind, age, &mut self.pauses) {
                 self.stamped_ms = None;
@@ -178,7 +178,7 @@ impl RetentionClock {
     }
 
     /// Returns the age of a recorded time of the wall clock, compared with `age`.
-    pub(crate) fn age(&self, kind: Kind, recorded_ms: u64, age: Duration, now: Moment) -> Age {
+    pub(crate) fn age(&self, kind: SpanUse, recorded_ms: u64, age: Duration, now: Moment) -> Age {
         let (span, now, age) = (self.span(kind), self.reading(now), milliseconds(age));
         if now.ran_ms.saturating_sub(span.stored.begun_ms) < age {
             return Age::Unknown;
@@ -275,10 +275,10 @@ impl RetentionClock {
         std::mem::take(&mut self.pauses)
     }
 
-    fn span(&self, kind: Kind) -> &Span {
+    fn span(&self, kind: SpanUse) -> &Span {
         match kind {
-            Kind::Jobs => &self.jobs,
-            Kind::Blobs => &self.blobs,
+            SpanUse::Jobs => &self.jobs,
+            SpanUse::Blobs => &self.blobs,
         }
     }
 
@@ -303,7 +303,13 @@ impl Span {
     }
 
     /// Adds the difference between the wall clock at a start and the last stamp.
-    fn add_gap(&mut self, gap_ms: i64, kind: Kind, age: Option<Duration>, pauses: &mut Vec<Pause>) {
+    fn add_gap(
+        &mut self,
+        gap_ms: i64,
+        kind: SpanUse,
+        age: Option<Duration>,
+        pauses: &mut Vec<Pause>,
+    ) {
         // The previous process may have disagreed by the most after its last stamp.
         let doubt = gap_ms.unsigned_abs().saturating_add(max_drift(age));
         self.stored.doubt_ms = self.stored.doubt_ms.saturating_add(doubt);
@@ -346,7 +352,7 @@ impl Span {
     fn observe(
         &mut self,
         now: Reading,
-        kind: Kind,
+        kind: SpanUse,
         age: Option<Duration>,
         pauses: &mut Vec<Pause>,
     ) -> bool {
@@ -374,7 +380,7 @@ impl Span {
         &mut self,
         now: Reading,
         jump: (i64, bool),
-        (kind, age): (Kind, Option<Duration>),
+        (kind, age): (SpanUse, Option<Duration>),
         pauses: &mut Vec<Pause>,
     ) {
         let stored = TrustedSpan {
@@ -397,7 +403,7 @@ impl Span {
     fn report(
         &mut self,
         (jump_ms, at_start): (i64, bool),
-        (kind, age): (Kind, Duration),
+        (kind, age): (SpanUse, Duration),
         pauses: &mut Vec<Pause>,
     ) {
         let report = if at_start {
@@ -421,13 +427,19 @@ impl Span {
 /// last look.
 #[derive(Debug, Default)]
 pub(crate) struct FutureBlobs {
-    looks: BTreeMap<(Kind, Digest), (u64, u64)>,
+    looks: BTreeMap<(SpanUse, Digest), (u64, u64)>,
     pass: u64,
 }
 
 impl FutureBlobs {
     /// Returns true if the first look at the blob was longer ago than `age`.
-    pub(crate) fn is_old(&mut self, kind: Kind, blob: Digest, age: Duration, ran_ms: u64) -> bool {
+    pub(crate) fn is_old(
+        &mut self,
+        kind: SpanUse,
+        blob: Digest,
+        age: Duration,
+        ran_ms: u64,
+    ) -> bool {
         let (first, pass) = self.looks.entry((kind, blob)).or_insert((ran_ms, 0));
         *pass = self.pass;
         ran_ms.saturating_sub(*first) >= milliseconds(age)
@@ -582,7 +594,7 @@ mod tests {
             let clock = &self.clock;
             self.ends.retain(|&(recorded, ended)| {
                 let stays = matches!(
-                    clock.age(Kind::Jobs, recorded, age, now),
+                    clock.age(SpanUse::Jobs, recorded, age, now),
                     Age::Unknown | Age::Young
                 );
                 if !stays {
@@ -633,7 +645,7 @@ mod tests {
             assert_eq!(world.pass(), None);
             let lasts_ms = 24 * HOUR;
             let pause = Pause {
-                kind: Kind::Jobs,
+                kind: SpanUse::Jobs,
                 jump_ms: step,
                 at_start: false,
                 lasts_ms,
@@ -752,10 +764,10 @@ mod tests {
     #[test]
     fn future_blob_ages_from_first_look() {
         let mut blobs = FutureBlobs::default();
-        assert!(!blobs.is_old(Kind::Blobs, [1; 32], day(), 5));
+        assert!(!blobs.is_old(SpanUse::Blobs, [1; 32], day(), 5));
         blobs.end_pass();
-        assert!(!blobs.is_old(Kind::Blobs, [1; 32], day(), 4 + 24 * HOUR));
-        assert!(blobs.is_old(Kind::Blobs, [1; 32], day(), 5 + 24 * HOUR));
+        assert!(!blobs.is_old(SpanUse::Blobs, [1; 32], day(), 4 + 24 * HOUR));
+        assert!(blobs.is_old(SpanUse::Blobs, [1; 32], day(), 5 + 24 * HOUR));
         blobs.end_pass();
         // Not looked at in this pass, because it is gone.
         blobs.end_pass();

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::jobs::retention_clock::{Kind, Pause};
+use crate::jobs::retention_clock::{Pause, SpanUse};
 use crate::state::Coordinator;
 use crate::telemetry::events::{self, LogEvent};
 
@@ -85,10 +85,10 @@ fn text(pause: &Pause) -> String {
         }
     };
     let what = match (kind, at_start) {
-        (Kind::Jobs, false) => "ended jobs and scenes are not deleted by age".to_owned(),
-        (Kind::Blobs, false) => "unneeded blobs are not removed".to_owned(),
-        (Kind::Jobs, true) => format!("ended jobs and scenes are deleted up to {jump} late"),
-        (Kind::Blobs, true) => format!("unneeded blobs are removed up to {jump} late"),
+        (SpanUse::Jobs, false) => "ended jobs and scenes are not deleted by age".to_owned(),
+        (SpanUse::Blobs, false) => "unneeded blobs are not removed".to_owned(),
+        (SpanUse::Jobs, true) => format!("ended jobs and scenes are deleted up to {jump} late"),
+        (SpanUse::Blobs, true) => format!("unneeded blobs are removed up to {jump} late"),
     };
     format!(
         "{cause}: {what} until coordinators have run for another {}; check the time service of the machine",

@@ -41,7 +41,7 @@ use crate::workers::sessions::{self, Message};
 const LIMIT: Duration = Duration::from_secs(60);
 
 /// A coordinator that serves until the end of the test.
-struct Served {
+struct ServedCoordinator {
     c: Arc<Coordinator>,
     channel: Channel,
     pages: SocketAddr,
@@ -49,17 +49,17 @@ struct Served {
     _folder: tempfile::TempDir,
 }
 
-impl Drop for Served {
+impl Drop for ServedCoordinator {
     fn drop(&mut self) {
         self.tasks.iter().for_each(tokio::task::JoinHandle::abort);
     }
 }
 
-async fn served(quotas: &[&str]) -> Served {
+async fn served(quotas: &[&str]) -> ServedCoordinator {
     served_with(quotas, ConnectionLimits::for_descriptors(1024)).await
 }
 
-async fn served_with(quotas: &[&str], limits: ConnectionLimits) -> Served {
+async fn served_with(quotas: &[&str], limits: ConnectionLimits) -> ServedCoordinator {
     let folder = tempfile::tempdir().unwrap();
     let mut config = Config::new(folder.path().to_owned());
     let quotas: Vec<String> = quotas.iter().map(|text| (*text).to_owned()).collect();
@@ -81,7 +81,7 @@ async fn served_with(quotas: &[&str], limits: ConnectionLimits) -> Served {
         tokio::spawn(async move { drop(serve_http(second, pages, None).await) }),
     ];
     let channel = Channel::from_shared(url).unwrap().connect().await.unwrap();
-    Served {
+    ServedCoordinator {
         c,
         channel,
         pages: at,
@@ -117,7 +117,7 @@ fn piece(total: u64) -> v1::Chunk {
 }
 
 /// Sends a result whose stream stays open, and returns the answer.
-async fn put_result(served: &Served, parts: Vec<v1::ResultPart>) -> Result<(), Status> {
+async fn put_result(served: &ServedCoordinator, parts: Vec<v1::ResultPart>) -> Result<(), Status> {
     let (_open, parts) = open(parts).await;
     let answer = WorkersClient::new(served.channel.clone())
         .put_result(parts)
@@ -256,7 +256,7 @@ async fn scene_file_is_refused_at_a_header_with_many_rules_or_a_long_text() {
 
 /// Joins as a worker that shows an identity; returns the identity of the welcome, and the open stream.
 async fn join_as(
-    served: &Served,
+    served: &ServedCoordinator,
     name: &str,
     identity: &[u8],
 ) -> (Vec<u8>, mpsc::Sender<v1::WorkerMessage>) {
@@ -292,7 +292,7 @@ async fn join_as(
 }
 
 /// Returns the troubles of the connected workers.
-fn troubles(served: &Served) -> Vec<Option<&'static str>> {
+fn troubles(served: &ServedCoordinator) -> Vec<Option<&'static str>> {
     let now = served.c.now_plain();
     served
         .c
@@ -479,12 +479,12 @@ async fn posted_scene_is_refused_by_its_announced_length() {
 }
 
 /// Answers that last until their asker has gone.
-struct Endless {
+struct EndlessAnswers {
     begun: Mutex<events::Sender<u32>>,
     count: AtomicU32,
 }
 
-impl Endless {
+impl EndlessAnswers {
     fn ask<T>(&self, is_gone: &(dyn Fn() -> bool + Sync)) -> Result<T, String> {
         let number = self.count.fetch_add(1, Ordering::Relaxed);
         self.begun.lock().unwrap().send(number).unwrap();
@@ -496,7 +496,7 @@ impl Endless {
     }
 }
 
-impl SceneQueries for Endless {
+impl SceneQueries for EndlessAnswers {
     fn why(
         &self,
         _: &Pvs,
@@ -540,7 +540,7 @@ fn done(c: &Arc<Coordinator>) -> JobId {
 async fn question_ends_when_its_asker_has_gone() {
     let served = served(&[]).await;
     let (begun, begins) = events::channel();
-    served.c.answer_with(Box::new(Endless {
+    served.c.answer_with(Box::new(EndlessAnswers {
         begun: Mutex::new(begun),
         count: AtomicU32::new(0),
     }));

@@ -26,10 +26,10 @@ use crate::workers::sessions;
 /// Most items in a message: more than a phase has.
 const MAX_ITEMS: usize = 1 << 20;
 
-type Out = mpsc::Sender<Result<v1::CrewMessage, Status>>;
+type CrewAnswers = mpsc::Sender<Result<v1::CrewMessage, Status>>;
 
 /// Sends a message; fails when the member has gone.
-async fn say(out: &Out, message: Message) -> Result<(), Gone> {
+async fn say(out: &CrewAnswers, message: Message) -> Result<(), Gone> {
     out.send(Ok(v1::CrewMessage {
         message: Some(message),
     }))
@@ -45,7 +45,7 @@ async fn say_outcome(
     c: &Arc<Coordinator>,
     room: &CrewChannel,
     phase: u32,
-    out: &Out,
+    out: &CrewAnswers,
 ) -> Result<(), Gone> {
     let tile = room.tile();
     let opened = blocking(c, move |c| Ok(c.crews.outcomes.open(tile, phase))).await;
@@ -96,7 +96,7 @@ pub(super) async fn lead(
     told: mpsc::Receiver<LeaderMessage>,
     from: u32,
     inbound: Streaming<v1::CrewMessage>,
-    out: Out,
+    out: CrewAnswers,
 ) {
     let telling = tokio::spawn(tell(
         Arc::clone(&c),
@@ -126,7 +126,7 @@ async fn tell(
     room: Arc<CrewChannel>,
     mut told: mpsc::Receiver<LeaderMessage>,
     from: u32,
-    out: Out,
+    out: CrewAnswers,
 ) {
     let mut kept = room.outcomes.subscribe();
     let count = *kept.borrow_and_update();
@@ -314,7 +314,7 @@ pub(super) async fn help(
     c: Arc<Coordinator>,
     room: Arc<CrewChannel>,
     inbound: Streaming<v1::CrewMessage>,
-    out: Out,
+    out: CrewAnswers,
 ) {
     let (member, takes) = room.enter();
     let mut telling = tokio::spawn(tell_helper(
@@ -359,7 +359,7 @@ async fn tell_helper(
     c: Arc<Coordinator>,
     room: Arc<CrewChannel>,
     mut takes: mpsc::Receiver<Assignment>,
-    out: Out,
+    out: CrewAnswers,
 ) {
     let (mut outcomes, mut over) = (room.outcomes.subscribe(), room.is_over.subscribe());
     let mut sent = 0;

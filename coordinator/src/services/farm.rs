@@ -15,7 +15,7 @@ use tonic::{Request, Response, Status};
 
 use super::blocking::blocking;
 use super::guard::{caller, own_job};
-use super::{status, wire};
+use super::{Answer, status, wire};
 use crate::jobs::invalidate;
 use crate::jobs::tiles;
 use crate::records::JobChanges;
@@ -34,8 +34,6 @@ const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::farm_server::Farm`].
 pub(crate) struct FarmService(pub(crate) Arc<Coordinator>);
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl v1::farm_server::Farm for FarmService {

@@ -19,7 +19,7 @@ use super::blocking::{blocking, blocking_one_of, in_turn, large};
 use super::guard::{caller, own_job};
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_bytes};
-use super::{status, wire};
+use super::{Answer, status, wire};
 use crate::access::Caller;
 use crate::jobs::control::{self, JobError, JobFilter, Summary};
 use crate::jobs::delete;
@@ -52,8 +52,6 @@ const LONGEST_UNREAD: Duration = Duration::from_secs(60);
 
 /// Serves [`v1::jobs_server::Jobs`].
 pub(crate) struct JobsService(pub(crate) Arc<Coordinator>);
-
-type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
 impl v1::jobs_server::Jobs for JobsService {

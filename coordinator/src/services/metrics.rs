@@ -13,7 +13,7 @@ use axum::routing::get;
 
 use super::connections::{Listener, Protocol};
 use crate::state::Coordinator;
-use crate::telemetry::metrics::Moment;
+use crate::telemetry::metrics::FarmReadings;
 use crate::telemetry::readiness::readiness;
 
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -86,10 +86,10 @@ async fn ready<P: Probed>(State(of): State<Arc<P>>) -> Response {
 }
 
 /// How things stand.
-fn moment(c: &Coordinator) -> Moment {
+fn moment(c: &Coordinator) -> FarmReadings {
     let (ready, now) = (readiness(c).is_ok(), c.now_plain());
     let scheduler = &c.lock().scheduler;
-    Moment {
+    FarmReadings {
         ready,
         jobs: scheduler.counts(),
         members: scheduler.roster(now),

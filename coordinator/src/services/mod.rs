@@ -35,3 +35,6 @@ pub use http::serve_http;
 pub use metrics::{Probed, serve_probes};
 pub use server::serve;
 pub use tls::{Tls, TlsError, TlsFiles};
+
+/// The answer to a call: a message, or an error.
+type Answer<T> = Result<tonic::Response<T>, tonic::Status>;

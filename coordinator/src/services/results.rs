@@ -3,18 +3,16 @@
 use std::sync::Arc;
 
 use sightline_proto::v1;
-use tonic::{Request, Response, Status};
+use tonic::{Request, Response};
 
 use super::blocking::in_turn;
 use super::guard::{caller, own_job};
-use super::status;
+use super::{Answer, status};
 use crate::results::queries::{self, AskError};
 use crate::state::Coordinator;
 
 /// Serves [`v1::results_server::Results`].
 pub(crate) struct ResultsService(pub(crate) Arc<Coordinator>);
-
-type Answer<T> = Result<Response<T>, Status>;
 
 /// A question that needs the scene, and stops when its last argument returns true.
 type Question<Q, A> = fn(&Coordinator, &Q, &(dyn Fn() -> bool + Sync)) -> Result<A, AskError>;

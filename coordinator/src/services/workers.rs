@@ -21,7 +21,7 @@ use super::connections::Peer;
 use super::guard::caller;
 use super::spooling::filled;
 use super::streams::{ChunkStream, stream_blob, stream_or_address};
-use super::{crews, status, wire};
+use super::{Answer, crews, status, wire};
 use crate::dispatch::follow_ups::Waiting;
 use crate::dispatch::outbox::Outbox;
 use crate::jobs::suspend;
@@ -42,7 +42,6 @@ const MAX_HELD: usize = 64;
 /// Serves [`v1::workers_server::Workers`].
 pub(crate) struct WorkersService(pub(crate) Arc<Coordinator>);
 
-type Answer<T> = Result<Response<T>, Status>;
 type Messages = mpsc::Sender<Outgoing>;
 
 /// A message to a worker. Orders are encoded when they are sent, outside of the scheduler's lock.

@@ -143,7 +143,7 @@ impl SledStore {
         let (commands, incoming) = channel();
         let told = Arc::<Told>::default();
         let (writer_view, writer_told) = (Arc::clone(&live), Arc::clone(&told));
-        let writer = Writer {
+        let writer = SledWriter {
             journal,
             idle,
             since_sync: 0,
@@ -432,7 +432,7 @@ impl std::fmt::Debug for Told {
 }
 
 /// The writer thread: the only one that appends to the journal and changes the view.
-struct Writer {
+struct SledWriter {
     journal: Journal,
     /// The watermark is synced when no command came for this long; `None` for a count of commits only.
     idle: Option<Duration>,
@@ -442,7 +442,7 @@ struct Writer {
     told: Arc<Told>,
 }
 
-impl Writer {
+impl SledWriter {
     fn run(mut self, incoming: &Receiver<Box<dyn Pending>>) {
         while let Some(first) = self.next(incoming) {
             let mut group = Vec::new();

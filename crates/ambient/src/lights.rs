@@ -70,13 +70,13 @@ impl Light {
 }
 
 /// Adds up what is seen of a light.
-struct Sum {
+struct LightSum {
     n: DVec3,
     factor: f64,
     parts: u32,
 }
 
-impl Ends for Sum {
+impl Ends for LightSum {
     fn free(&mut self, part: &[Corner], _: &[Cap]) {
         self.factor += cosine(self.n, part);
         self.parts += 1;
@@ -129,7 +129,7 @@ pub fn factors(
     let factor = |r: &Receiver| {
         let n = r.normal.normalize();
         let part = light.seen_from(r.point, n);
-        let mut sum = Sum {
+        let mut sum = LightSum {
             n,
             factor: 0.0,
             parts: 0,

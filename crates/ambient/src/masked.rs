@@ -9,7 +9,7 @@ const MOST_TEXELS: f64 = 16_777_216.0;
 
 /// A corner: where it is, and its texture coordinates in texels.
 #[derive(Clone, Copy)]
-struct Corner {
+struct MaskedCorner {
     at: DVec3,
     texel: [f64; 2],
 }
@@ -23,9 +23,9 @@ pub fn polygons(
     texels: &mut f64,
 ) -> Option<Vec<Vec<DVec3>>> {
     let size = mask.size().map(f64::from);
-    let corners: [Corner; 3] = std::array::from_fn(|k| {
+    let corners: [MaskedCorner; 3] = std::array::from_fn(|k| {
         let texel = std::array::from_fn(|a| f64::from(of[k][a]) * size[a]);
-        Corner { at: v[k], texel }
+        MaskedCorner { at: v[k], texel }
     });
     let range = |a: usize| {
         let (min, max) = corners
@@ -77,11 +77,11 @@ pub fn polygons(
 }
 
 /// The part of a triangle over some texels, if it has three corners.
-fn cut(triangle: &[Corner; 3], x: [f64; 2], y: [f64; 2]) -> Option<Vec<DVec3>> {
+fn cut(triangle: &[MaskedCorner; 3], x: [f64; 2], y: [f64; 2]) -> Option<Vec<DVec3>> {
     let mut polygon = triangle.to_vec();
     for (axis, [from, to]) in [(0, x), (1, y)] {
         for (sign, bound) in [(1.0, from), (-1.0, to)] {
-            let over = |c: &Corner| sign * (c.texel[axis] - bound);
+            let over = |c: &MaskedCorner| sign * (c.texel[axis] - bound);
             let mut left = Vec::with_capacity(polygon.len() + 1);
             for (k, c) in polygon.iter().enumerate() {
                 let d = polygon[if k + 1 == polygon.len() { 0 } else { k + 1 }];
@@ -93,7 +93,7 @@ fn cut(triangle: &[Corner; 3], x: [f64; 2], y: [f64; 2]) -> Option<Vec<DVec3>> {
                     let t = p / (p - q);
                     let mut texel = [0, 1].map(|a| c.texel[a] + (d.texel[a] - c.texel[a]) * t);
                     texel[axis] = bound;
-                    left.push(Corner {
+                    left.push(MaskedCorner {
                         at: c.at + (d.at - c.at) * t,
                         texel,
                     });

@@ -61,14 +61,14 @@ pub fn quarters(n: DVec3) -> [[Corner; 3]; 4] {
 }
 
 /// Adds up what is free.
-struct Sum<'a> {
+struct OpennessSum<'a> {
     n: DVec3,
     answer: Openness,
     seen: &'a mut Seen,
     cuts: &'a mut Vec<f64>,
 }
 
-impl Ends for Sum<'_> {
+impl Ends for OpennessSum<'_> {
     fn free(&mut self, part: &[Corner], caps: &[Cap]) {
         self.answer.open += cosine_without(self.n, part, caps, self.cuts);
         self.answer.parts += 1;
@@ -91,7 +91,7 @@ pub fn open(
     let n = receiver.normal.normalize();
     seen.begin();
     rays.begin();
-    let mut sum = Sum {
+    let mut sum = OpennessSum {
         n,
         answer: Openness::default(),
         seen,

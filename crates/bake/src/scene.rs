@@ -18,11 +18,11 @@ pub struct BakeScene {
     exact: OnceLock<Result<ExactScene, String>>,
     ambient: OnceLock<Result<Prepared, String>>,
     /// The partition for the last job, with what it depends on beside the scene.
-    partition: Mutex<Option<(JobRegion, Arc<Partition>)>>,
+    partition: Mutex<Option<(ViewSpace, Arc<Partition>)>>,
 }
 
 /// Where viewpoints are: the view box and the region.
-type JobRegion = (Aabb, Option<Arc<Region>>);
+type ViewSpace = (Aabb, Option<Arc<Region>>);
 
 impl BakeScene {
     /// Takes up `scene`.

@@ -66,7 +66,7 @@ pub struct ExactFrame {
     pub missed: Vec<u32>,
 }
 
-struct Judged {
+struct ExactJudgement {
     frame: ExactFrame,
     seen: Vec<u32>,
 }
@@ -95,7 +95,7 @@ pub fn measure_exact(
         distance: far,
         ..View::default()
     };
-    let judge = |(frame, point): (usize, &glam::Vec3)| -> Result<Judged, MeasureError> {
+    let judge = |(frame, point): (usize, &glam::Vec3)| -> Result<ExactJudgement, MeasureError> {
         let viewpoint = point.to_array();
         let cell = pvs.find_cell(viewpoint).ok_or(MeasureError::Outside {
             frame,
@@ -121,7 +121,7 @@ pub fn measure_exact(
             .unwrap_or_else(PoisonError::into_inner)
             .push(scratch);
         let error = angle / (4.0 * std::f64::consts::PI);
-        Ok(Judged {
+        Ok(ExactJudgement {
             frame: ExactFrame {
                 frame: frame as u64,
                 viewpoint,
@@ -136,13 +136,13 @@ pub fn measure_exact(
     let (mut cells, mut frames) = (BTreeSet::new(), Vec::new());
     let (mut all_seen, mut all_missed) = (0u64, 0u64);
     for (batch, points) in views.points.chunks(BATCH).enumerate() {
-        let judged: Vec<Result<Judged, MeasureError>> = points
+        let judged: Vec<Result<ExactJudgement, MeasureError>> = points
             .par_iter()
             .enumerate()
             .map(|(i, point)| judge((batch * BATCH + i, point)))
             .collect();
         for judged in judged {
-            let Judged { frame, seen: ids } = judged?;
+            let ExactJudgement { frame, seen: ids } = judged?;
             all_seen += ids.len() as u64;
             all_missed += frame.missed.len() as u64;
             // A result of another scene may have fewer triangles; its digest was compared before.

@@ -50,7 +50,7 @@ impl Default for Options {
 type Layers = (CubeImage, Vec<(u32, u32)>);
 
 /// What is left of a frame once its image is gone.
-struct Judged {
+struct FrameJudgement {
     cell: u32,
     resolution: u32,
     wrong_pixels: u64,
@@ -96,7 +96,7 @@ pub fn measure(
     let mut largest: Vec<u64> = Vec::new();
     let mut resolution = 0;
     for (batch, points) in views.points.chunks(BATCH).enumerate() {
-        let judged: Vec<Result<Judged, MeasureError>> = points
+        let judged: Vec<Result<FrameJudgement, MeasureError>> = points
             .par_iter()
             .enumerate()
             .map(|(i, &point)| judge(renderer, pvs, batch * BATCH + i, point))
@@ -200,7 +200,7 @@ fn judge(
     pvs: &Pvs,
     frame: usize,
     point: Vec3,
-) -> Result<Judged, MeasureError> {
+) -> Result<FrameJudgement, MeasureError> {
     let point = point.to_array();
     let cell = pvs
         .find_cell(point)
@@ -218,7 +218,7 @@ fn judge(
     seen.sort_unstable();
     seen.dedup();
     seen.pop_if(|last| *last == SKY);
-    Ok(Judged {
+    Ok(FrameJudgement {
         cell,
         resolution: image.resolution,
         wrong_pixels: wrong_pixels.iter().filter(|&&w| w).count() as u64,

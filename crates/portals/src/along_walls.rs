@@ -32,7 +32,7 @@ struct Wall {
 }
 
 /// A box of the tree, and its planes' children.
-struct Node {
+struct BoxNode {
     of: Aabb,
     depth: usize,
     split: Option<(usize, f32, [usize; 2])>,
@@ -55,7 +55,7 @@ pub fn along_walls(
         .filter_map(|id| wall(scene, id))
         .collect();
     let all: Vec<u32> = (0..walls.len() as u32).collect();
-    let mut nodes = vec![Node {
+    let mut nodes = vec![BoxNode {
         of: view_box,
         depth: 0,
         split: None,
@@ -89,7 +89,7 @@ pub fn along_walls(
         nodes[node].split = Some((axis, at, children));
         boxes += 1;
         for (of, child) in [below, above].into_iter().zip(children) {
-            nodes.push(Node {
+            nodes.push(BoxNode {
                 of,
                 depth: depth + 1,
                 split: None,

@@ -95,7 +95,7 @@ pub fn separators(body: &Body, polygon: &Hull, errors: Errors, out: &mut Vec<Hal
             out.push(HalfSpace::across(axis, false, p_hi));
         }
     }
-    let mut planes = Planes {
+    let mut planes = BeamPlanes {
         body: &body.hull,
         polygon,
         errors,
@@ -141,14 +141,14 @@ fn touching([a, b]: [DVec3; 2], corners: &[DVec3], inner: DVec3) -> DVec3 {
     best
 }
 
-struct Planes<'a> {
+struct BeamPlanes<'a> {
     body: &'a Hull,
     polygon: &'a Hull,
     errors: Errors,
     out: &'a mut Vec<HalfSpace>,
 }
 
-impl Planes<'_> {
+impl BeamPlanes<'_> {
     /// Adds the plane through an edge of one and a corner of the other, if it has them on its two sides.
     /// `up` is 1 when the corner is the polygon's, −1 when it is the body's.
     fn add(&mut self, [a, b]: [DVec3; 2], c: DVec3, up: f64) {

@@ -52,12 +52,12 @@ pub fn region_of(tree: &Tree, leaves: &[LeafId]) -> Result<Region, RegionError> 
 /// A region with its planes.
 #[derive(Debug)]
 pub struct Reached {
-    nodes: Vec<Part>,
+    nodes: Vec<SpacePart>,
 }
 
 /// A part of space: wholly outside, wholly inside, or divided. The lesser side of a plane is the next part.
 #[derive(Debug)]
-enum Part {
+enum SpacePart {
     Outside,
     Inside,
     Split { plane: Box<Plane>, greater: u32 },
@@ -76,7 +76,7 @@ impl Reached {
     /// # Errors
     /// [`ForeignRegion`].
     pub fn new(region: &Region, scene: &Scene) -> Result<Self, ForeignRegion> {
-        let mut nodes: Vec<Part> = Vec::with_capacity(region.nodes().len());
+        let mut nodes: Vec<SpacePart> = Vec::with_capacity(region.nodes().len());
         // Splits whose greater side is still to come.
         let mut open: Vec<usize> = Vec::new();
         for node in region.nodes() {
@@ -87,18 +87,18 @@ impl Reached {
                         return Err(ForeignRegion(*triangle));
                     }
                     let plane = Box::new(Plane::through(scene.triangles()[*triangle as usize].v));
-                    nodes.push(Part::Split { plane, greater: 0 });
+                    nodes.push(SpacePart::Split { plane, greater: 0 });
                     open.push(number);
                 }
                 RegionNode::Inside | RegionNode::Outside => {
                     nodes.push(if *node == RegionNode::Inside {
-                        Part::Inside
+                        SpacePart::Inside
                     } else {
-                        Part::Outside
+                        SpacePart::Outside
                     });
                     // The next node begins the greater side of the innermost split that has none yet.
                     if let Some(split) = open.pop()
-                        && let Part::Split { greater, .. } = &mut nodes[split]
+                        && let SpacePart::Split { greater, .. } = &mut nodes[split]
                     {
                         *greater = number as u32 + 1;
                     }
@@ -113,9 +113,9 @@ impl Reached {
         let mut open = vec![0u32];
         while let Some(at) = open.pop() {
             match &self.nodes[at as usize] {
-                Part::Outside => {}
-                Part::Inside => return true,
-                Part::Split { plane, greater } => match plane.side_of(point) {
+                SpacePart::Outside => {}
+                SpacePart::Inside => return true,
+                SpacePart::Split { plane, greater } => match plane.side_of(point) {
                     Ordering::Less => open.push(at + 1),
                     Ordering::Greater => open.push(*greater),
                     Ordering::Equal => open.extend([at + 1, *greater]),
@@ -142,9 +142,9 @@ impl Reached {
         let mut open = vec![(node, face)];
         while let Some((at, face)) = open.pop() {
             match &self.nodes[at as usize] {
-                Part::Outside => {}
-                Part::Inside => found.push(face),
-                Part::Split { plane, greater } => {
+                SpacePart::Outside => {}
+                SpacePart::Inside => found.push(face),
+                SpacePart::Split { plane, greater } => {
                     if face
                         .sides(plane)
                         .iter()
@@ -195,9 +195,9 @@ impl Reached {
         let mut open = vec![(0u32, face)];
         while let Some((at, face)) = open.pop() {
             match &self.nodes[at as usize] {
-                Part::Outside => {}
-                Part::Inside => return true,
-                Part::Split { plane, greater } => {
+                SpacePart::Outside => {}
+                SpacePart::Inside => return true,
+                SpacePart::Split { plane, greater } => {
                     open.extend(beside(plane, (at + 1, *greater), face))
                 }
             }
@@ -228,10 +228,10 @@ impl Reached {
         while let Some((at, faces)) = open.pop() {
             match &self.nodes[at as usize] {
                 _ if faces.is_empty() => {}
-                Part::Outside => {}
-                Part::Inside if wanted(&faces) => return Some(faces),
-                Part::Inside => {}
-                Part::Split { plane, greater } => {
+                SpacePart::Outside => {}
+                SpacePart::Inside if wanted(&faces) => return Some(faces),
+                SpacePart::Inside => {}
+                SpacePart::Split { plane, greater } => {
                     open.extend([at + 1, *greater].into_iter().zip(divide(faces, plane, of)));
                 }
             }

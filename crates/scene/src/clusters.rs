@@ -37,7 +37,7 @@ fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
     if ids.is_empty() {
         return Vec::new();
     }
-    let mesh = Mesh::new(scene, &ids);
+    let mesh = NumberedMesh::new(scene, &ids);
     let mut left = mesh.left();
     let mut taken = vec![false; ids.len()];
     // Of each vertex and each triangle, the cluster that has it, or considered it.
@@ -91,7 +91,7 @@ fn of_object(scene: &Scene, object: &Object) -> Vec<Vec<u32>> {
 }
 
 /// The triangles of an object with numbered vertices. Vertices are the same if their coordinates are.
-struct Mesh {
+struct NumberedMesh {
     corners: Vec<[u32; 3]>,
     /// The triangles around each vertex: those of vertex v are from `starts[v]` to `starts[v + 1]`.
     starts: Vec<u32>,
@@ -100,7 +100,7 @@ struct Mesh {
     morton: Vec<u32>,
 }
 
-impl Mesh {
+impl NumberedMesh {
     fn new(scene: &Scene, ids: &[u32]) -> Self {
         let mut numbers = BTreeMap::new();
         let corners: Vec<[u32; 3]> = ids

@@ -336,7 +336,7 @@ pub(crate) fn read(
     triangles: u32,
     alpha_textures: bool,
 ) -> Result<(Kinds, &[u8]), &'static str> {
-    let mut r = Reader(bytes);
+    let mut r = KindsReader(bytes);
     let mut rules = Vec::new();
     for _ in 0..r.count(5)? {
         rules.push(Rule {
@@ -380,9 +380,9 @@ pub(crate) fn read(
 }
 
 /// Reads numbers and texts; every count is checked against the remaining bytes.
-struct Reader<'a>(&'a [u8]);
+struct KindsReader<'a>(&'a [u8]);
 
-impl Reader<'_> {
+impl KindsReader<'_> {
     fn u32(&mut self) -> Result<u32, &'static str> {
         let (head, rest) = self
             .0

@@ -11,7 +11,7 @@ use rustc_hash::FxHashMap;
 
 use crate::cells::CellsView;
 use crate::check::integers::Integers;
-use crate::check::residues::{Field, Place};
+use crate::check::residues::{Field, ResiduePlace};
 use crate::file::Contents;
 
 /// Tetrahedra that fill the box face to face.
@@ -35,7 +35,7 @@ pub fn divide(contents: &Contents<'_>) -> Divided {
     let field = Field::new(&contents.digest);
     let integers = Integers::new(cells);
     let vertices = cells.points.len() + cells.meets.len();
-    let places: Vec<Place> = (0..vertices as u32)
+    let places: Vec<ResiduePlace> = (0..vertices as u32)
         .into_par_iter()
         // A vertex that is no point is in a file that `check` refuses.
         .map(|v| {
@@ -45,28 +45,28 @@ pub fn divide(contents: &Contents<'_>) -> Divided {
                 .unwrap_or_default()
         })
         .collect();
-    let mut first: FxHashMap<Place, u32> = FxHashMap::default();
+    let mut first: FxHashMap<ResiduePlace, u32> = FxHashMap::default();
     let same: Vec<u32> = (0..)
         .zip(&places)
         .map(|(v, place)| *first.entry(*place).or_insert(v))
         .collect();
     drop(first);
-    let rings = Rings {
+    let rings = FaceRings {
         cells,
         field,
         places: &places,
         same: &same,
         between: FxHashMap::default(),
     };
-    let rings = Rings {
+    let rings = FaceRings {
         between: rings.lines(&integers),
         ..rings
     };
-    let faces: Vec<Face> = (0..cells.face_count())
+    let faces: Vec<DividedFace> = (0..cells.face_count())
         .into_par_iter()
         .map(|f| rings.face(f))
         .collect();
-    let parts: Vec<Part> = (0..cells.cell_count())
+    let parts: Vec<CellTetrahedra> = (0..cells.cell_count())
         .into_par_iter()
         .map(|c| rings.cell(c, &faces))
         .collect();
@@ -74,14 +74,14 @@ pub fn divide(contents: &Contents<'_>) -> Divided {
 }
 
 /// The tetrahedra of a cell, and its inner point where it needs one, which has the number `u32::MAX`.
-type Part = (Vec<[u32; 4]>, Option<[f64; 3]>);
+type CellTetrahedra = (Vec<[u32; 4]>, Option<[f64; 3]>);
 /// An edge: the lesser of its ends first.
 type Ends = (u32, u32);
 /// An edge and the name of its line.
-type OnLine = ([Place; 2], Ends);
+type OnLine = ([ResiduePlace; 2], Ends);
 
 /// A face with the vertices on its edges, and its triangles.
-struct Face {
+struct DividedFace {
     /// Whether there are vertices of others on its edges, or its own on a line.
     uneven: bool,
     ring: Vec<u32>,
@@ -89,17 +89,17 @@ struct Face {
     triangles: Vec<[u32; 3]>,
 }
 
-struct Rings<'a> {
+struct FaceRings<'a> {
     cells: CellsView<'a>,
     field: Field,
-    places: &'a [Place],
+    places: &'a [ResiduePlace],
     /// The least of all vertices at the same place.
     same: &'a [u32],
     /// The vertices between the two of an edge, in order from the lesser one. Edges without any are left out.
     between: FxHashMap<Ends, Vec<u32>>,
 }
 
-impl Rings<'_> {
+impl FaceRings<'_> {
     /// The loop of a face, each place once.
     fn loop_of(&self, face: usize) -> Vec<u32> {
         let mut ring: Vec<u32> = self
@@ -146,7 +146,7 @@ impl Rings<'_> {
         found.into_iter().flatten().collect()
     }
 
-    fn face(&self, face: usize) -> Face {
+    fn face(&self, face: usize) -> DividedFace {
         let own = self.loop_of(face);
         let mut ring = Vec::with_capacity(own.len());
         for (k, a) in own.iter().enumerate() {
@@ -167,7 +167,7 @@ impl Rings<'_> {
         } else {
             fan(&ring, least(&ring))
         };
-        Face {
+        DividedFace {
             uneven: straight,
             ring,
             triangles,
@@ -178,7 +178,7 @@ impl Rings<'_> {
         let [a, b, c] = [a, b, c].map(|v| &self.places[v as usize]);
         self.field
             .cross(&self.field.difference(b, a), &self.field.difference(c, a))
-            == Place::default()
+            == ResiduePlace::default()
     }
 
     /// Divides a convex ring that has corners in the middle of its sides, so that every piece of a side is an
@@ -212,7 +212,7 @@ impl Rings<'_> {
     }
 
     /// The tetrahedra of a cell.
-    fn cell(&self, cell: usize, faces: &[Face]) -> Part {
+    fn cell(&self, cell: usize, faces: &[DividedFace]) -> CellTetrahedra {
         let listed = self.cells.faces_of(cell);
         let face_at = |f: &u32| &faces[(f >> 1) as usize];
         let least = listed
@@ -259,12 +259,12 @@ impl Rings<'_> {
         (tetrahedra, middle)
     }
 
-    fn is_in_plane(&self, face: &Face, vertex: u32) -> bool {
+    fn is_in_plane(&self, face: &DividedFace, vertex: u32) -> bool {
         let Some([a, b, c]) = face.triangles.first() else {
             return true;
         };
         let [a, b, c, v] = [*a, *b, *c, vertex].map(|v| &self.places[v as usize]);
-        let offset_from_a = |v: &Place| self.field.difference(v, a);
+        let offset_from_a = |v: &ResiduePlace| self.field.difference(v, a);
         self.field.dot(
             &self.field.cross(&offset_from_a(b), &offset_from_a(c)),
             &offset_from_a(v),
@@ -318,7 +318,7 @@ fn between(integers: &Integers<'_>, group: &[OnLine]) -> Vec<(Ends, Vec<u32>)> {
     inner.collect()
 }
 
-fn gather(contents: &Contents<'_>, faces: &[Face], parts: Vec<Part>) -> Divided {
+fn gather(contents: &Contents<'_>, faces: &[DividedFace], parts: Vec<CellTetrahedra>) -> Divided {
     let cells = contents.cells;
     let vertices = cells.points.len() + cells.meets.len();
     let mut out = Divided::default();

@@ -26,7 +26,7 @@ pub(crate) struct Unusable {
 }
 
 /// What `TEXCOORD_1` of all parts says, if it can be used.
-pub(crate) struct Coordinates {
+pub(crate) struct KeptCoordinates {
     /// The corners of each triangle of the scene, from 0 to 1.
     triangles: Vec<Flat>,
     /// Whether parts lie upon each other, so that each needs a place of its own.
@@ -38,7 +38,7 @@ pub(crate) fn area(t: &Flat) -> f64 {
     (t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[1][1] - t[0][1]) * (t[2][0] - t[0][0])
 }
 
-impl Coordinates {
+impl KeptCoordinates {
     /// `TEXCOORD_1` of all parts, or why it cannot be used.
     pub(crate) fn read(
         file: &File,

@@ -9,7 +9,7 @@ use crate::atlas::{Atlas, Layout};
 use crate::error::MOST_SIDE;
 use crate::file::File;
 use crate::image::{Image, State};
-use crate::kept::{Coordinates, area};
+use crate::kept::{KeptCoordinates, area};
 use crate::overlap::Flat;
 use crate::parts::Parts;
 use crate::pieces::{Pieces, pieces};
@@ -288,7 +288,7 @@ fn atlas(
     if settings.coordinates == settings::Coordinates::Unwrap {
         return unwrap(file, scene, parts, settings.size);
     }
-    match Coordinates::read(file, scene, parts)? {
+    match KeptCoordinates::read(file, scene, parts)? {
         Ok(coordinates) => {
             let atlas = coordinates.atlas(file, scene, parts, settings.size)?;
             let moved = atlas

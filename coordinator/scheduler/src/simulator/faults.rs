@@ -7,7 +7,7 @@ use sightline_store::StoreError;
 use sightline_store::failing::FailingDisk;
 use sightline_viewcells::{Plan, Tile, TileKind};
 
-use super::parts::{Ground, Happening, Up, Worker, spec};
+use super::parts::{Ground, Happening, SimulatedWorker, Up, spec};
 use super::world::World;
 use crate::Event;
 
@@ -48,7 +48,7 @@ fn populate(world: &mut World, seed: u64) {
     for _ in 0..workers {
         let other = world.one_in(6) && !checked;
         let (slow, broken) = (world.one_in(8), world.one_in(12));
-        world.workers.push(Worker {
+        world.workers.push(SimulatedWorker {
             profile: if other { "cpu/b" } else { "cpu/a" }.to_owned(),
             alive: true,
             life: 0,

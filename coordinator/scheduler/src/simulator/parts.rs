@@ -83,7 +83,7 @@ pub(super) struct Held {
 }
 
 /// A worker.
-pub(super) struct Worker {
+pub(super) struct SimulatedWorker {
     pub(super) profile: String,
     pub(super) alive: bool,
     /// How often it was started; what was meant for an earlier life is ignored.

@@ -10,7 +10,7 @@ use sightline_records::ids::{JobId, Lease, LeaseId, TileIndex};
 use sightline_store::MemoryStore;
 use sightline_viewcells::Plan;
 
-use super::parts::{Down, Ground, Happening, StreamEnds, Up, Worker, spec};
+use super::parts::{Down, Ground, Happening, SimulatedWorker, StreamEnds, Up, spec};
 use crate::{Effect, Event, Job, Now, Output, Scheduler, WorkerCommand};
 
 pub(super) const TTL: u64 = 10_000;
@@ -38,7 +38,7 @@ pub(super) struct World {
     pub(super) stalled_until: u64,
     pub(super) disk_full: bool,
     pub(super) streams: Vec<StreamEnds>,
-    pub(super) workers: Vec<Worker>,
+    pub(super) workers: Vec<SimulatedWorker>,
     pub(super) plans: BTreeMap<JobId, Plan>,
     poison: BTreeSet<(JobId, TileIndex)>,
     /// Tiles whose workers die.

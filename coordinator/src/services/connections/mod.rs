@@ -32,8 +32,8 @@ use tower::{Service, ServiceExt as _};
 pub use self::error::ServeError;
 pub use self::limits::{ConnectionLimits, FewDescriptors};
 pub use self::table::Connections;
-use self::table::{Connection, Entry};
-use self::watched::Watched;
+use self::table::{Connection, ConnectionEntry};
+use self::watched::WatchedSocket;
 use super::answer_right;
 use super::silence::until_silent;
 use super::tls::Tls;
@@ -165,7 +165,7 @@ type Broken = Box<dyn std::error::Error + Send + Sync>;
 /// Serves a connection from its handshake to its end.
 async fn connected<S>(
     stream: TcpStream,
-    entry: &Entry,
+    entry: &ConnectionEntry,
     connections: Arc<Connections>,
     tls: Option<Arc<Tls>>,
     protocol: Protocol,
@@ -187,7 +187,7 @@ where
     };
     match tls {
         None => {
-            let stream = Watched::new(stream, Arc::clone(&connection), limits.unread);
+            let stream = WatchedSocket::new(stream, Arc::clone(&connection), limits.unread);
             answered(stream, &limits, peer(None), protocol, service).await
         }
         Some(tls) => {
@@ -207,7 +207,7 @@ where
                 .peer_certificates()
                 .and_then(|all| all.first());
             let certificate = shown.map(|certificate| Arc::new(certificate.clone().into_owned()));
-            let stream = Watched::new(stream, Arc::clone(&connection), limits.unread);
+            let stream = WatchedSocket::new(stream, Arc::clone(&connection), limits.unread);
             answered(stream, &limits, peer(certificate), protocol, service).await
         }
     }

@@ -60,7 +60,7 @@ struct State {
 
 /// A connection's entry in the table, which ends when this is dropped.
 #[derive(Debug)]
-pub(super) struct Entry {
+pub(super) struct ConnectionEntry {
     table: Arc<Connections>,
     number: u64,
     pub(super) connection: Arc<Connection>,
@@ -85,7 +85,7 @@ impl Connections {
     }
 
     /// Adds a connection. Where a cap is reached, the connection that has been idle longest is closed for it.
-    pub(super) fn add(self: &Arc<Self>, from: IpAddr, is_handshaking: bool) -> Entry {
+    pub(super) fn add(self: &Arc<Self>, from: IpAddr, is_handshaking: bool) -> ConnectionEntry {
         let ConnectionLimits {
             general,
             of_address,
@@ -118,7 +118,7 @@ impl Connections {
         let number = table.next;
         table.next += 1;
         table.all.insert(number, Arc::clone(&connection));
-        Entry {
+        ConnectionEntry {
             table: Arc::clone(self),
             number,
             connection,
@@ -255,7 +255,7 @@ impl Drop for OpenRequest {
     }
 }
 
-impl Drop for Entry {
+impl Drop for ConnectionEntry {
     fn drop(&mut self) {
         self.table.table().all.remove(&self.number);
     }
@@ -278,7 +278,7 @@ mod tests {
         Connections::new(limits)
     }
 
-    fn is_open(entry: &Entry) -> bool {
+    fn is_open(entry: &ConnectionEntry) -> bool {
         entry.table.table().all.contains_key(&entry.number)
     }
 
@@ -316,7 +316,7 @@ mod tests {
         for _ in 0..50 {
             drop(table.add(HERE, false));
         }
-        let flood: Vec<Entry> = (0..50).map(|_| table.add(HERE, false)).collect();
+        let flood: Vec<ConnectionEntry> = (0..50).map(|_| table.add(HERE, false)).collect();
         assert!(is_open(&worker) && is_open(&watcher));
         assert_eq!(flood.iter().filter(|entry| is_open(entry)).count(), 1);
         // A second worker finds no place among the workers and can be closed.
@@ -345,7 +345,7 @@ mod tests {
     fn caps_of_address_and_of_handshakes_close_oldest() {
         let table = table(100, 2, 1);
         let elsewhere = table.add(THERE, false);
-        let here: Vec<Entry> = (0..5).map(|_| table.add(HERE, false)).collect();
+        let here: Vec<ConnectionEntry> = (0..5).map(|_| table.add(HERE, false)).collect();
         assert!(is_open(&elsewhere));
         assert_eq!(
             here.iter().map(is_open).collect::<Vec<_>>(),
@@ -360,7 +360,7 @@ mod tests {
             ..ConnectionLimits::for_descriptors(1024)
         };
         let table = Connections::new(limits);
-        let shaking: Vec<Entry> = [HERE, HERE, HERE, THERE, THERE]
+        let shaking: Vec<ConnectionEntry> = [HERE, HERE, HERE, THERE, THERE]
             .map(|from| table.add(from, true))
             .into();
         assert_eq!(

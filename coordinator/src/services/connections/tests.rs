@@ -39,12 +39,12 @@ fn wide() -> ConnectionLimits {
 }
 
 /// A server that ends with the test.
-struct Served {
+struct ServedSockets {
     address: SocketAddr,
     server: JoinHandle<Infallible>,
 }
 
-impl Drop for Served {
+impl Drop for ServedSockets {
     fn drop(&mut self) {
         self.server.abort();
     }
@@ -55,13 +55,13 @@ async fn serve(
     tls: Option<Arc<Tls>>,
     protocol: Protocol,
     routes: Router,
-) -> Served {
+) -> ServedSockets {
     let connections = Connections::new(limits);
     let listener = Listener::bind("127.0.0.1:0".parse().unwrap(), false, &connections)
         .await
         .unwrap();
     let address = listener.local_addr().unwrap();
-    Served {
+    ServedSockets {
         address,
         server: tokio::spawn(listener.serve(tls, protocol, routes)),
     }
@@ -73,7 +73,7 @@ fn hello() -> Router {
         .route("/", post(|body: Bytes| async { body }))
 }
 
-async fn connect(served: &Served) -> TcpStream {
+async fn connect(served: &ServedSockets) -> TcpStream {
     TcpStream::connect(served.address).await.unwrap()
 }
 
@@ -165,8 +165,8 @@ async fn body_that_stops_ends_its_request() {
 #[tokio::test]
 async fn peer_that_reads_nothing_is_cut() {
     /// Bytes without end, which report their own end.
-    struct Endless(Option<oneshot::Sender<()>>);
-    impl Stream for Endless {
+    struct EndlessBytes(Option<oneshot::Sender<()>>);
+    impl Stream for EndlessBytes {
         type Item = Result<Bytes, Infallible>;
         fn poll_next(
             self: std::pin::Pin<&mut Self>,
@@ -175,7 +175,7 @@ async fn peer_that_reads_nothing_is_cut() {
             std::task::Poll::Ready(Some(Ok(Bytes::from_static(&[7; 4096]))))
         }
     }
-    impl Drop for Endless {
+    impl Drop for EndlessBytes {
         fn drop(&mut self) {
             if let Some(dropped) = self.0.take() {
                 // The test waits for it.
@@ -186,7 +186,8 @@ async fn peer_that_reads_nothing_is_cut() {
 
     let (dropped, ended) = oneshot::channel();
     let dropped = Arc::new(std::sync::Mutex::new(Some(dropped)));
-    let endless = move || async move { Body::from_stream(Endless(dropped.lock().unwrap().take())) };
+    let endless =
+        move || async move { Body::from_stream(EndlessBytes(dropped.lock().unwrap().take())) };
     let routes = Router::new().route("/", get(endless));
     let served = serve(
         ConnectionLimits {
@@ -258,7 +259,10 @@ fn encrypted(folder: &Path) -> (Arc<Tls>, TlsConnector) {
     (Arc::new(tls), TlsConnector::from(Arc::new(client)))
 }
 
-async fn shaken(client: &TlsConnector, served: &Served) -> impl AsyncRead + AsyncWrite + Unpin {
+async fn shaken(
+    client: &TlsConnector,
+    served: &ServedSockets,
+) -> impl AsyncRead + AsyncWrite + Unpin {
     let name = ServerName::try_from("localhost").unwrap();
     client.connect(name, connect(served).await).await.unwrap()
 }

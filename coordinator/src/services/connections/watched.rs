@@ -12,7 +12,7 @@ use tokio::time::Sleep;
 use super::table::Connection;
 
 /// A socket of a connection.
-pub(super) struct Watched<IO> {
+pub(super) struct WatchedSocket<IO> {
     socket: IO,
     connection: Arc<Connection>,
     unread: Duration,
@@ -20,7 +20,7 @@ pub(super) struct Watched<IO> {
     stalled: Option<Pin<Box<Sleep>>>,
 }
 
-impl<IO> Watched<IO> {
+impl<IO> WatchedSocket<IO> {
     /// Watches a socket whose peer may leave bytes unread for the time `unread`.
     pub(super) fn new(socket: IO, connection: Arc<Connection>, unread: Duration) -> Self {
         Self {
@@ -53,7 +53,7 @@ impl<IO> Watched<IO> {
     }
 }
 
-impl<IO: AsyncRead + Unpin> AsyncRead for Watched<IO> {
+impl<IO: AsyncRead + Unpin> AsyncRead for WatchedSocket<IO> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
@@ -67,7 +67,7 @@ impl<IO: AsyncRead + Unpin> AsyncRead for Watched<IO> {
     }
 }
 
-impl<IO: AsyncWrite + Unpin> AsyncWrite for Watched<IO> {
+impl<IO: AsyncWrite + Unpin> AsyncWrite for WatchedSocket<IO> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,

@@ -29,7 +29,7 @@ const PAGE: &str = "<!doctype html><html lang=en><meta charset=utf-8><title>Sigh
 
 /// The content of the form.
 #[derive(Deserialize)]
-pub(super) struct Sent {
+pub(super) struct LoginForm {
     token: String,
 }
 
@@ -46,7 +46,7 @@ pub(super) async fn ask() -> Response {
 }
 
 /// Checks the submitted token and sets the login cookie.
-pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<Sent>) -> Response {
+pub(super) async fn login(State(site): State<Arc<Site>>, Form(sent): Form<LoginForm>) -> Response {
     // Where callers need no token there is no session either.
     let Some(access) = site
         .coordinator

@@ -21,7 +21,7 @@ const MOST_JOBS: usize = 200;
 
 /// The jobs at one moment, as JSON: all of them, and those that changed since the moment before.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Moment {
+pub(super) struct JobsSnapshot {
     pub(super) number: u64,
     pub(super) whole: Arc<str>,
     pub(super) change: Arc<str>,
@@ -29,7 +29,7 @@ pub(super) struct Moment {
 
 /// The states that watchers are told of.
 pub(super) struct Snapshots {
-    pub(super) jobs: watch::Sender<Moment>,
+    pub(super) jobs: watch::Sender<JobsSnapshot>,
     pub(super) workers: watch::Sender<Arc<str>>,
 }
 
@@ -37,7 +37,7 @@ impl Snapshots {
     /// Begins to make them.
     pub(super) fn of(c: &Arc<Coordinator>) -> Arc<Self> {
         let this = Self {
-            jobs: watch::Sender::new(Moment::default()),
+            jobs: watch::Sender::new(JobsSnapshot::default()),
             workers: watch::Sender::new("".into()),
         };
         let this = Arc::new(this);
@@ -72,7 +72,7 @@ async fn keep_jobs(c: Arc<Coordinator>, this: Arc<Snapshots>) {
                 let whole = event(&c, true, older, &all, &[]);
                 before = jobs;
                 this.jobs.send_modify(|moment| {
-                    *moment = Moment {
+                    *moment = JobsSnapshot {
                         number: moment.number + 1,
                         whole: whole.into(),
                         change: change.into(),

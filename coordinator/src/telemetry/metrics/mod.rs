@@ -21,8 +21,8 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Registry, Unit};
 
 pub(crate) use self::disk::free_bytes;
+pub(crate) use self::now::FarmReadings;
 use self::now::Gauges;
-pub(crate) use self::now::Moment;
 
 /// Labels with their values.
 type Labels<const N: usize> = [(&'static str, String); N];
@@ -224,7 +224,7 @@ impl Metrics {
     ///
     /// # Errors
     /// When a value cannot be written as text.
-    pub(crate) fn text(&self, moment: Moment) -> Result<String, std::fmt::Error> {
+    pub(crate) fn text(&self, moment: FarmReadings) -> Result<String, std::fmt::Error> {
         // Nobody reads gauges of two moments.
         let registry = self.registry.lock().unwrap_or_else(PoisonError::into_inner);
         self.gauges.set(moment);

@@ -19,7 +19,7 @@ use super::disk::{bytes_below, free_bytes};
 const SIZES_EVERY: Duration = Duration::from_secs(60);
 
 /// How things stand, without what is read from files.
-pub(crate) struct Moment {
+pub(crate) struct FarmReadings {
     /// Whether the coordinator is ready.
     pub(crate) ready: bool,
     /// The jobs that have not ended.
@@ -90,7 +90,7 @@ impl Gauges {
     }
 
     /// Sets them to what stands now.
-    pub(super) fn set(&self, moment: Moment) {
+    pub(super) fn set(&self, moment: FarmReadings) {
         self.ready.set(i64::from(moment.ready));
         self.quarantined.set(moment.quarantined as i64);
         self.set_jobs(moment.jobs);

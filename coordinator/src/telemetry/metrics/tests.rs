@@ -9,8 +9,8 @@ use super::*;
 
 const MANUAL: &str = include_str!("../../../../docs/operations.md");
 
-fn moment() -> Moment {
-    Moment {
+fn moment() -> FarmReadings {
+    FarmReadings {
         ready: true,
         jobs: Vec::new(),
         members: Vec::new(),
@@ -56,7 +56,7 @@ fn served() -> BTreeMap<String, String> {
         waiting: 1,
     };
     let (jobs, members) = (vec![job], vec![member]);
-    let text = metrics.text(Moment {
+    let text = metrics.text(FarmReadings {
         jobs,
         members,
         data_dir: Some(directory.path().to_owned()),

@@ -11,7 +11,7 @@ use super::object::tests::Served;
 use super::*;
 
 #[derive(Clone, Debug)]
-enum Op {
+enum BlobOp {
     Put(u8),
     PutUnsynced(u8),
     /// A stream of this blob in pieces of this many bytes, announced as the blob of the second number.
@@ -32,17 +32,17 @@ fn digest(n: u8) -> Digest {
     *blake3::hash(&content(n)).as_bytes()
 }
 
-fn step(blobs: &dyn Blobs, model: &mut BTreeMap<u8, Vec<u8>>, op: &Op) {
+fn step(blobs: &dyn Blobs, model: &mut BTreeMap<u8, Vec<u8>>, op: &BlobOp) {
     match *op {
-        Op::Put(n) => {
+        BlobOp::Put(n) => {
             assert_eq!(blobs.put(&content(n)).unwrap(), digest(n));
             model.insert(n, content(n));
         }
-        Op::PutUnsynced(n) => {
+        BlobOp::PutUnsynced(n) => {
             assert_eq!(blobs.put_unsynced(&content(n)).unwrap(), digest(n));
             model.insert(n, content(n));
         }
-        Op::Stream(n, announced, piece) => {
+        BlobOp::Stream(n, announced, piece) => {
             let mut writer = blobs.put_stream().unwrap();
             for (i, bytes) in content(n).chunks(piece).enumerate() {
                 if i % 2 == 0 {
@@ -60,8 +60,8 @@ fn step(blobs: &dyn Blobs, model: &mut BTreeMap<u8, Vec<u8>>, op: &Op) {
                 assert!(matches!(finished, Err(BlobError::Mismatch { .. })));
             }
         }
-        Op::Abandon(n) => blobs.put_stream().unwrap().append(&content(n)).unwrap(),
-        Op::Remove(n) => assert_eq!(
+        BlobOp::Abandon(n) => blobs.put_stream().unwrap().append(&content(n)).unwrap(),
+        BlobOp::Remove(n) => assert_eq!(
             blobs.remove(&digest(n)).unwrap(),
             model.remove(&n).is_some()
         ),
@@ -93,15 +93,16 @@ fn compare(blobs: &dyn Blobs, model: &BTreeMap<u8, Vec<u8>>) {
     }
 }
 
-fn op() -> impl Strategy<Value = Op> {
+fn op() -> impl Strategy<Value = BlobOp> {
     let n = || 0..4_u8;
     prop_oneof![
-        n().prop_map(Op::Put),
-        n().prop_map(Op::PutUnsynced),
-        (n(), 1..50_usize).prop_map(|(n, piece)| Op::Stream(n, n, piece)),
-        (n(), n(), 1..50_usize).prop_map(|(n, announced, piece)| Op::Stream(n, announced, piece)),
-        n().prop_map(Op::Abandon),
-        n().prop_map(Op::Remove),
+        n().prop_map(BlobOp::Put),
+        n().prop_map(BlobOp::PutUnsynced),
+        (n(), 1..50_usize).prop_map(|(n, piece)| BlobOp::Stream(n, n, piece)),
+        (n(), n(), 1..50_usize)
+            .prop_map(|(n, announced, piece)| BlobOp::Stream(n, announced, piece)),
+        n().prop_map(BlobOp::Abandon),
+        n().prop_map(BlobOp::Remove),
     ]
 }
 

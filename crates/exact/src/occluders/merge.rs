@@ -14,7 +14,7 @@ use super::occluder::{Occluder, OccluderId, border};
 const MOST_EDGES: usize = 24;
 
 /// Faces being merged: loops of vertices in the orientation of the first triangle.
-pub struct Faces<'a> {
+pub struct MergedFaces<'a> {
     triangles: &'a [[Vec3; 3]],
     corners: &'a [u32],
     /// The face of each triangle, by union-find.
@@ -29,20 +29,20 @@ pub struct Faces<'a> {
 struct Face {
     triangles: Vec<OccluderTriangle>,
     /// Directed edges by corner numbers and positions.
-    border: Vec<Edge>,
+    border: Vec<FaceEdge>,
     /// The axis of projection, and whether the projected face is clockwise.
     axis: usize,
     mirrored: bool,
 }
 
 #[derive(Clone, Copy)]
-struct Edge {
+struct FaceEdge {
     from: u32,
     to: u32,
     ends: [Vec3; 2],
 }
 
-impl<'a> Faces<'a> {
+impl<'a> MergedFaces<'a> {
     pub fn new(triangles: &'a [[Vec3; 3]], corners: &'a [u32], solid: &[bool]) -> Self {
         let n = triangles.len();
         let mut edges: Vec<(u32, u32, u32)> = Vec::with_capacity(3 * n);
@@ -140,7 +140,7 @@ impl<'a> Faces<'a> {
 impl Face {
     fn of(id: u32, v: &[Vec3; 3], c: &[u32]) -> Self {
         let border = (0..3)
-            .map(|k| Edge {
+            .map(|k| FaceEdge {
                 from: c[k],
                 to: c[(k + 1) % 3],
                 ends: [v[k], v[(k + 1) % 3]],
@@ -178,7 +178,7 @@ impl Face {
         let mut border = self.border.clone();
         for e in &other.border {
             let e = if flip {
-                Edge {
+                FaceEdge {
                     from: e.to,
                     to: e.from,
                     ends: [e.ends[1], e.ends[0]],
@@ -227,7 +227,7 @@ impl Face {
         } else {
             Ordering::Less
         };
-        let outside = |e: &Edge, p: Vec3| {
+        let outside = |e: &FaceEdge, p: Vec3| {
             orient2d_sign(
                 flat(e.ends[0], self.axis),
                 flat(e.ends[1], self.axis),

@@ -8,7 +8,7 @@ use sightline_scene::topology::corner_vertices;
 use sightline_scene::{Scene, SceneError};
 
 use super::boundary_edges::BoundaryEdges;
-use super::merge::Faces;
+use super::merge::MergedFaces;
 use super::occluder::{Occluder, OccluderId, border};
 
 /// All occluders of a scene.
@@ -66,7 +66,7 @@ impl Occluders {
         let shown: Option<Vec<bool>> =
             (!scene.kinds().all_opaque()).then(|| ids.map(|t| scene.shows(t)).collect());
         let joined = || {
-            let mut faces = Faces::new(&triangles, &corners, &solid);
+            let mut faces = MergedFaces::new(&triangles, &corners, &solid);
             faces.merge();
             let (occluders, of) = faces.finish();
             let boundary_edges = BoundaryEdges::new(&occluders);

@@ -38,10 +38,10 @@ pub struct Surfaces {
     sides: Vec<Option<(u32, bool)>>,
     /// For each triangle, its closed surface, if it has one.
     of: Vec<Option<u32>>,
-    surfaces: Vec<Surface>,
+    surfaces: Vec<ClosedSurface>,
 }
 
-struct Surface {
+struct ClosedSurface {
     min: Vec3,
     max: Vec3,
     patches: Vec<[Vec3; 3]>,
@@ -121,7 +121,7 @@ impl Surfaces {
             }
         }
         let mut number = vec![None; n];
-        let (mut surface_ids, mut surfaces) = (vec![None; n], Vec::<Surface>::new());
+        let (mut surface_ids, mut surfaces) = (vec![None; n], Vec::<ClosedSurface>::new());
         for t in (0..n as u32).filter(|t| solid(*t)) {
             let root = sets.root(t);
             if !usable[root as usize] {
@@ -130,7 +130,7 @@ impl Surfaces {
             let id = *number[root as usize].get_or_insert_with(|| {
                 let at = patches.binary_search_by_key(&root, |p| p.0);
                 let patches = at.map_or(Vec::new(), |at| std::mem::take(&mut patches[at].1));
-                surfaces.push(Surface {
+                surfaces.push(ClosedSurface {
                     min: Vec3::INFINITY,
                     max: Vec3::NEG_INFINITY,
                     patches,
@@ -201,7 +201,7 @@ impl Surfaces {
 
     /// A point outside of the surface and its patches, nearly along an axis from a point.
     fn outside(&self, s: u32, from: Vec3, random: &mut Random) -> Vec3 {
-        let Surface { min, max, .. } = &self.surfaces[s as usize];
+        let ClosedSurface { min, max, .. } = &self.surfaces[s as usize];
         let size = (*max - *min).max_element();
         let axis = (random.unit() * 3.0) as usize;
         let mut jitter = || ((random.unit() - 0.5) * 0.02) as f32 * size;
@@ -263,7 +263,7 @@ impl Surfaces {
         let middle = (min * 0.5 + max * 0.5).clamp(min, max);
         let parity = (0..self.surfaces.len() as u32)
             .map(|s| {
-                let Surface { min, max, .. } = &self.surfaces[s as usize];
+                let ClosedSurface { min, max, .. } = &self.surfaces[s as usize];
                 if met[s as usize] {
                     return None;
                 }

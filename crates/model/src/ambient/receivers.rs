@@ -253,9 +253,9 @@ pub fn check(bytes: &[u8]) -> Result<Facts, ReceiversError> {
 const TOO_MANY: &str = "receivers take more than 2 GiB; use larger texels, or several jobs";
 
 /// Bytes that are read from the front.
-struct Reader<'a>(&'a [u8]);
+struct ReceiversReader<'a>(&'a [u8]);
 
-impl Reader<'_> {
+impl ReceiversReader<'_> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], ReceiversError> {
         let (taken, rest) = self
             .0
@@ -300,7 +300,7 @@ fn read(
     if bytes.len() as u64 > MOST_BYTES {
         return Err(Job(TOO_MANY));
     }
-    let mut r = Reader(bytes);
+    let mut r = ReceiversReader(bytes);
     if &r.take()? != MAGIC {
         return Err(Damaged("they do not begin as receivers do"));
     }
@@ -368,7 +368,7 @@ fn read(
     Ok((settings, blocks))
 }
 
-fn lights(r: &mut Reader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
+fn lights(r: &mut ReceiversReader<'_>) -> Result<Vec<Vec<[f64; 3]>>, ReceiversError> {
     let count = r.count(4)? as u32;
     if count > MOST_LIGHTS {
         return Err(ReceiversError::Job(

@@ -57,7 +57,7 @@ pub enum FromHelper {
 
 /// A helper of a crew.
 pub struct Helper {
-    state: Mutex<State>,
+    state: Mutex<HelperState>,
     changed: Condvar,
     watcher: Arc<dyn Watcher + Send>,
     /// Must not wait for the leader.
@@ -65,7 +65,7 @@ pub struct Helper {
 }
 
 #[derive(Default)]
-struct State {
+struct HelperState {
     number: u32,
     outcomes: BTreeMap<u32, Vec<u8>>,
     pieces: VecDeque<(u32, Vec<u32>)>,
@@ -75,7 +75,7 @@ struct State {
 }
 
 /// What a helper does next.
-enum Step {
+enum HelperStep {
     Finish(Vec<u8>),
     Compute(Vec<u32>),
     Stop,
@@ -111,7 +111,7 @@ impl Helper {
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, HelperState> {
         // Each change is whole before anything can panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -123,15 +123,15 @@ impl Helper {
     }
 
     /// Waits for the next thing to do in a phase.
-    fn step(&self, number: u32) -> Step {
+    fn step(&self, number: u32) -> HelperStep {
         let mut state = self.lock();
         loop {
             if state.is_over || self.watcher.cancelled() {
-                return Step::Stop;
+                return HelperStep::Stop;
             }
             if let Some(outcome) = state.outcomes.remove(&number) {
                 state.number = number + 1;
-                return Step::Finish(outcome);
+                return HelperStep::Finish(outcome);
             }
             // Pieces of phases that are over are of no use.
             state.pieces.retain(|(phase, _)| *phase >= number);
@@ -141,7 +141,7 @@ impl Helper {
                 .is_some_and(|(phase, _)| *phase == number)
                 && let Some((_, items)) = state.pieces.pop_front()
             {
-                return Step::Compute(items);
+                return HelperStep::Compute(items);
             }
             let waited = self.changed.wait_timeout(state, LOOK);
             (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
@@ -160,7 +160,7 @@ impl Crew for Helper {
         }
         loop {
             match self.step(number) {
-                Step::Finish(outcome) => {
+                HelperStep::Finish(outcome) => {
                     let added = phase.add(&outcome);
                     if let Err(e) = &added {
                         tracing::warn!("the outcome of phase {number} is of no use: {e}");
@@ -172,7 +172,7 @@ impl Crew for Helper {
                         Err(TileError::Cancelled)
                     };
                 }
-                Step::Compute(items) => {
+                HelperStep::Compute(items) => {
                     if items.iter().any(|i| *i as usize >= phase.items()) {
                         tracing::warn!("the leader gave items that phase {number} does not have");
                         return Err(TileError::Cancelled);
@@ -194,7 +194,7 @@ impl Crew for Helper {
                         (self.out)(FromHelper::Ask { phase: number });
                     }
                 }
-                Step::Stop => return Err(TileError::Cancelled),
+                HelperStep::Stop => return Err(TileError::Cancelled),
             }
         }
     }

@@ -76,7 +76,7 @@ pub enum FromLeader {
 
 /// The leader of a crew.
 pub struct Leader {
-    state: Mutex<State>,
+    state: Mutex<LeaderState>,
     /// There are finds to add, or the phase is over.
     news: Condvar,
     watcher: Arc<dyn Watcher + Send>,
@@ -85,7 +85,7 @@ pub struct Leader {
 }
 
 #[derive(Default)]
-struct State {
+struct LeaderState {
     /// Outcomes of an earlier leader that are not used yet, by phase.
     earlier: BTreeMap<u32, Vec<u8>>,
     /// The number of the next phase, or of the one in work.
@@ -112,7 +112,7 @@ struct State {
 }
 
 /// What a thread of the leader does next.
-enum Step {
+enum LeaderStep {
     Add(Member, Vec<u32>, Vec<u8>),
     Compute(usize),
     Nothing,
@@ -126,9 +126,9 @@ impl Leader {
         watcher: Arc<dyn Watcher + Send>,
         out: impl Fn(FromLeader) + Send + Sync + 'static,
     ) -> Self {
-        let state = State {
+        let state = LeaderState {
             earlier: (0..).zip(outcomes).collect(),
-            ..State::default()
+            ..LeaderState::default()
         };
         Self {
             state: Mutex::new(state),
@@ -222,13 +222,13 @@ impl Leader {
         self.lock().earlier.extend((from..).zip(outcomes));
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, LeaderState> {
         // Each change is whole before anything can panic.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Gives free items to helpers that ask.
-    fn give(&self, state: &mut State) {
+    fn give(&self, state: &mut LeaderState) {
         let (number, members) = (state.number, state.helpers.len() + 1);
         let Some(queue) = &mut state.queue else {
             return;
@@ -255,7 +255,7 @@ impl Leader {
     }
 
     /// Forgets a helper, and what it was given.
-    fn dismiss(&self, state: &mut State, member: Member) {
+    fn dismiss(&self, state: &mut LeaderState, member: Member) {
         state.helpers.remove(&member);
         state.ready.remove(&member);
         // Later finds leave out what earlier ones held.
@@ -271,7 +271,7 @@ impl Leader {
     }
 
     /// Hands the outcomes over that are still here.
-    fn hand_over(&self, state: &mut State) {
+    fn hand_over(&self, state: &mut LeaderState) {
         let from = state.handed;
         for (phase, bytes, time) in state.outcomes.iter().filter(|(phase, ..)| *phase >= from) {
             let (phase, bytes, time) = (*phase, Arc::clone(bytes), *time);
@@ -311,14 +311,14 @@ impl Leader {
     }
 
     /// What a thread does next in a phase.
-    fn step(&self) -> Step {
+    fn step(&self) -> LeaderStep {
         let mut state = self.lock();
         if let Some((member, items, finds)) = state.done.pop_front() {
-            return Step::Add(member, items, finds);
+            return LeaderStep::Add(member, items, finds);
         }
         let queue = state.queue.as_mut();
         let item = queue.and_then(|queue| queue.next_free().or_else(|| queue.next_given()));
-        item.map_or(Step::Nothing, Step::Compute)
+        item.map_or(LeaderStep::Nothing, LeaderStep::Compute)
     }
 
     /// Adds the finds of a helper.
@@ -364,10 +364,10 @@ impl Leader {
         let is_failed = || failed.lock().is_ok_and(|f| f.is_some());
         while !is_failed() {
             match self.step() {
-                Step::Add(member, items, finds) => self.add(phase, member, &items, &finds),
-                Step::Compute(item) if phase.has(item) => {}
+                LeaderStep::Add(member, items, finds) => self.add(phase, member, &items, &finds),
+                LeaderStep::Compute(item) if phase.has(item) => {}
                 // A helper's answer may come while a long item is computed once more here.
-                Step::Compute(item) => match phase.compute(item, &|| phase.has(item)) {
+                LeaderStep::Compute(item) => match phase.compute(item, &|| phase.has(item)) {
                     Ok(()) => {
                         if let Some(queue) = &mut self.lock().queue {
                             queue.answered(item);
@@ -379,7 +379,7 @@ impl Leader {
                         }
                     }
                 },
-                Step::Nothing => break,
+                LeaderStep::Nothing => break,
             }
         }
     }

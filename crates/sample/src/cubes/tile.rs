@@ -72,7 +72,7 @@ pub fn run(
         cache.insert(*p, Arc::clone(sample));
     }
     let bits = vec![0u64; job.scene.scene().triangles().len().div_ceil(64)];
-    let mut work = Work {
+    let mut work = CubeWork {
         job,
         params,
         scene,
@@ -155,7 +155,7 @@ fn renderer<'a>(
     )
 }
 
-struct Work<'a> {
+struct CubeWork<'a> {
     job: &'a JobContext<'a>,
     params: &'a CubeParams,
     scene: CubeScene<'a>,
@@ -170,7 +170,7 @@ struct Work<'a> {
     watcher: &'a dyn Watcher,
 }
 
-impl Work<'_> {
+impl CubeWork<'_> {
     fn world(&self, cell: &CellBox) -> Aabb {
         let (min, max) = cell.world(&self.job.lattice);
         Aabb { min, max }
@@ -310,7 +310,7 @@ impl Work<'_> {
 
 /// Samples from the cache; missing ones are rendered and inserted.
 struct CachedSource<'w, 'a> {
-    work: &'w mut Work<'a>,
+    work: &'w mut CubeWork<'a>,
     renderer: &'w dyn CubeRenderer,
 }
 

@@ -69,7 +69,7 @@ impl Materials {
     }
 
     fn parse(&mut self, bytes: &[u8]) {
-        let mut current: Option<Material> = None;
+        let mut current: Option<MtlMaterial> = None;
         for line in bytes.split(|b| matches!(b, b'\n' | b'\r')) {
             let line = line
                 .split(|b| *b == b'#')
@@ -82,9 +82,9 @@ impl Materials {
                 .unwrap_or(line.len());
             let (word, rest) = (&line[..at], line[at..].trim_ascii());
             if word == b"newmtl" {
-                self.keep(current.replace(Material {
+                self.keep(current.replace(MtlMaterial {
                     name: rest.to_vec(),
-                    ..Material::default()
+                    ..MtlMaterial::default()
                 }));
                 continue;
             }
@@ -107,7 +107,7 @@ impl Materials {
         self.keep(current);
     }
 
-    fn keep(&mut self, material: Option<Material>) {
+    fn keep(&mut self, material: Option<MtlMaterial>) {
         if let Some(m) = material {
             let mark = m.mark();
             self.marks.insert(m.name, mark);
@@ -117,7 +117,7 @@ impl Materials {
 
 /// The statements of a material that decide its kind.
 #[derive(Default)]
-struct Material {
+struct MtlMaterial {
     name: Vec<u8>,
     dissolve: Option<f64>,
     transparency: Option<f64>,
@@ -125,7 +125,7 @@ struct Material {
     model: Option<f64>,
 }
 
-impl Material {
+impl MtlMaterial {
     fn mark(&self) -> Mark {
         let reason = match (self.dissolve, self.transparency) {
             (Some(d), _) if d < 1.0 => Some("d"),

@@ -26,7 +26,7 @@ struct Forward {
 }
 
 /// The state of the reader.
-struct Reader<'a> {
+struct ObjReader<'a> {
     file: &'a str,
     limits: &'a Limits,
     vertices: Vec<Vec3>,
@@ -58,7 +58,7 @@ pub(super) fn parse(
     limits: &Limits,
     marks: &mut Marks,
 ) -> Result<Scene, SceneError> {
-    let mut r = Reader {
+    let mut r = ObjReader {
         file,
         limits,
         vertices: Vec::new(),
@@ -136,7 +136,7 @@ fn show(token: &[u8]) -> String {
     String::from_utf8_lossy(&token[..token.len().min(40)]).into_owned()
 }
 
-impl Reader<'_> {
+impl ObjReader<'_> {
     fn bad(&self, line: usize, reason: impl Into<String>, remedy: &str) -> SceneError {
         SceneError::bad(self.file, format!("line {line}"), reason, remedy)
     }

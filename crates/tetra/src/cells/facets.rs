@@ -65,7 +65,7 @@ impl Faces {
 }
 
 /// A piece of a facet on its way: the polygon, the cells found so far and the triangles that cover it.
-struct Piece {
+struct FacetPiece {
     polygon: Polygon,
     cells: [u32; 2],
     triangles: Vec<u32>,
@@ -91,7 +91,7 @@ pub fn of_cuts(
             (above, side) = cuts.cuts[above as usize].parent;
         }
         let Some(polygon) = facet else { return false };
-        let mut pieces = vec![Piece {
+        let mut pieces = vec![FacetPiece {
             polygon,
             cells: [NONE; 2],
             triangles: Vec::new(),
@@ -116,7 +116,7 @@ pub fn of_face(
     within: impl Iterator<Item = Cutter>,
     out: &mut Faces,
 ) {
-    let mut pieces = vec![Piece {
+    let mut pieces = vec![FacetPiece {
         polygon,
         cells: [NONE; 2],
         triangles: whole.iter().map(|(_, id)| *id).collect(),
@@ -141,10 +141,10 @@ fn down(
     parts: Parts<'_>,
     node: u32,
     side: usize,
-    pieces: Vec<Piece>,
-) -> Vec<Piece> {
+    pieces: Vec<FacetPiece>,
+) -> Vec<FacetPiece> {
     let mut done = Vec::with_capacity(pieces.len());
-    let mut todo: Vec<(Piece, u32)> = pieces.into_iter().rev().map(|p| (p, node)).collect();
+    let mut todo: Vec<(FacetPiece, u32)> = pieces.into_iter().rev().map(|p| (p, node)).collect();
     while let Some((mut piece, node)) = todo.pop() {
         let cut = match parts.cuts {
             Some(cuts) if node & LEAF == 0 => cuts.cuts[node as usize],
@@ -166,7 +166,7 @@ fn down(
                 if let Some(polygon) = polygon {
                     let (cells, triangles) = (piece.cells, piece.triangles.clone());
                     todo.push((
-                        Piece {
+                        FacetPiece {
                             polygon,
                             cells,
                             triangles,
@@ -182,7 +182,7 @@ fn down(
 
 /// Divides pieces along the edges of a triangle in their plane, where the triangle covers a part of them, and
 /// notes what it covers.
-fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piece> {
+fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<FacetPiece>) -> Vec<FacetPiece> {
     let edges = cutter.sides(local);
     let mut done = Vec::with_capacity(pieces.len());
     for piece in pieces {
@@ -194,7 +194,7 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
             done.push(piece);
             continue;
         }
-        let Piece {
+        let FacetPiece {
             mut polygon,
             cells,
             mut triangles,
@@ -209,7 +209,7 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
             } else {
                 (back, front)
             };
-            done.extend(outside.map(|polygon| Piece {
+            done.extend(outside.map(|polygon| FacetPiece {
                 polygon,
                 cells,
                 triangles: triangles.clone(),
@@ -221,7 +221,7 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
         if let Err(at) = triangles.binary_search(&cutter.id) {
             triangles.insert(at, cutter.id);
         }
-        done.push(Piece {
+        done.push(FacetPiece {
             polygon,
             cells,
             triangles,
@@ -231,7 +231,7 @@ fn cover(local: &mut Local<'_>, cutter: &Cutter, pieces: Vec<Piece>) -> Vec<Piec
 }
 
 /// Adds the pieces as faces.
-fn push(local: &mut Local<'_>, pieces: Vec<Piece>, out: &mut Faces) {
+fn push(local: &mut Local<'_>, pieces: Vec<FacetPiece>, out: &mut Faces) {
     for piece in pieces {
         for (v, _) in &piece.polygon.loops {
             let at = *v as usize;

@@ -7,7 +7,7 @@ use rustc_hash::FxHashMap;
 use sightline_geometry::predicates::dyadic;
 
 use super::fault::Fault;
-use super::residues::{Field, Place};
+use super::residues::{Field, ResiduePlace};
 use crate::cells::{CellsView, Plane};
 
 /// Points as integers, all in the same unit.
@@ -95,7 +95,7 @@ pub(crate) struct Known<'a> {
     of: &'a Integers<'a>,
     vertices: FxHashMap<u32, Rc<[IBig; 4]>>,
     planes: FxHashMap<u32, Rc<[IBig; 4]>>,
-    places: FxHashMap<u32, Place>,
+    places: FxHashMap<u32, ResiduePlace>,
 }
 
 impl<'a> Known<'a> {
@@ -123,7 +123,7 @@ impl<'a> Known<'a> {
         self.planes.entry(plane).or_insert_with(made).clone()
     }
 
-    pub fn place(&mut self, vertex: u32, field: &Field) -> Result<Place, Fault> {
+    pub fn place(&mut self, vertex: u32, field: &Field) -> Result<ResiduePlace, Fault> {
         if let Some(known) = self.places.get(&vertex) {
             return Ok(*known);
         }

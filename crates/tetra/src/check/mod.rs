@@ -33,7 +33,7 @@ use crate::surfaces::{CLOSED, SurfacesView};
 
 pub use fault::Fault;
 use integers::{Integers, Known, det3, main_axis, side, sign};
-use residues::{Both, Field, Place};
+use residues::{Both, Field, ResiduePlace};
 
 /// Checks the cells of a file against its surfaces, and the solids around cells.
 ///
@@ -297,20 +297,20 @@ impl Checker<'_> {
         if is_flat {
             return Err(Fault::Flat(cell));
         }
-        let places: Vec<Place> = numbers
+        let places: Vec<ResiduePlace> = numbers
             .iter()
             .map(|v| known.place(*v, &self.field))
             .collect::<Result<_, _>>()?;
         let place = |v: &u32| {
             numbers
                 .binary_search(v)
-                .map_or(Place::default(), |at| places[at])
+                .map_or(ResiduePlace::default(), |at| places[at])
         };
         let mut volume = Both::default();
         let mut edges: Vec<(u32, u32)> = Vec::new();
         for f in faces {
             let numbers = self.cells.face_loop((f / 2) as usize);
-            let loops: Vec<Place> = numbers.iter().map(place).collect();
+            let loops: Vec<ResiduePlace> = numbers.iter().map(place).collect();
             let from = self.field.difference(&loops[0], &places[0]);
             let part = self.field.dot(&self.field.area(&loops), &from);
             let is_behind = f & 1 == 1;
@@ -335,13 +335,13 @@ impl Checker<'_> {
 
     /// Whether directed edges cancel on each line. On a line they do where each place ends as many as it
     /// begins.
-    fn closes(&self, edges: &[(u32, u32)], place: impl Fn(&u32) -> Place) -> bool {
+    fn closes(&self, edges: &[(u32, u32)], place: impl Fn(&u32) -> ResiduePlace) -> bool {
         let mut net: FxHashMap<(u32, u32), i32> = FxHashMap::default();
         for (a, b) in edges {
             let (key, sign) = if a < b { ((*a, *b), 1) } else { ((*b, *a), -1) };
             *net.entry(key).or_default() += sign;
         }
-        let mut ends: FxHashMap<([Place; 2], Place), i32> = FxHashMap::default();
+        let mut ends: FxHashMap<([ResiduePlace; 2], ResiduePlace), i32> = FxHashMap::default();
         let mut rest: Vec<_> = net.into_iter().filter(|(_, n)| *n != 0).collect();
         rest.sort_unstable();
         for ((a, b), n) in rest {
@@ -387,7 +387,7 @@ impl Checker<'_> {
                         .plane(self.cells.planes[record.plane as usize])[axis],
                 );
                 let loops = self.cells.face_loop(*face as usize).iter();
-                let places: Result<Vec<Place>, Fault> =
+                let places: Result<Vec<ResiduePlace>, Fault> =
                     loops.map(|v| known.place(*v, &self.field)).collect();
                 let area = self.field.area(&places?)[axis];
                 sum = if up > 0 {

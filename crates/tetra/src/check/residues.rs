@@ -10,7 +10,7 @@ use dashu_int::ops::DivRem;
 /// A number modulo the two primes.
 pub(crate) type Both = [u64; 2];
 /// A place modulo the two primes.
-pub(crate) type Place = [Both; 3];
+pub(crate) type ResiduePlace = [Both; 3];
 
 /// Arithmetic modulo two primes.
 #[derive(Clone, Copy, Debug)]
@@ -77,21 +77,21 @@ impl Field {
     }
 
     /// A vertex in homogeneous coordinates.
-    pub fn place(&self, [x, y, z, w]: &[IBig; 4]) -> Place {
+    pub fn place(&self, [x, y, z, w]: &[IBig; 4]) -> ResiduePlace {
         let by = self.inverse(self.integer(w));
         [x, y, z].map(|c| self.mul(self.integer(c), by))
     }
 
-    pub fn difference(&self, a: &Place, b: &Place) -> Place {
+    pub fn difference(&self, a: &ResiduePlace, b: &ResiduePlace) -> ResiduePlace {
         std::array::from_fn(|i| self.sub(a[i], b[i]))
     }
 
-    pub fn cross(&self, a: &Place, b: &Place) -> Place {
+    pub fn cross(&self, a: &ResiduePlace, b: &ResiduePlace) -> ResiduePlace {
         let minor = |i: usize, j: usize| self.sub(self.mul(a[i], b[j]), self.mul(a[j], b[i]));
         [minor(1, 2), minor(2, 0), minor(0, 1)]
     }
 
-    pub fn dot(&self, a: &Place, b: &Place) -> Both {
+    pub fn dot(&self, a: &ResiduePlace, b: &ResiduePlace) -> Both {
         self.add(
             self.add(self.mul(a[0], b[0]), self.mul(a[1], b[1])),
             self.mul(a[2], b[2]),
@@ -99,8 +99,8 @@ impl Field {
     }
 
     /// Twice the area of a loop in its plane as a vector.
-    pub fn area(&self, places: &[Place]) -> Place {
-        let mut sum = Place::default();
+    pub fn area(&self, places: &[ResiduePlace]) -> ResiduePlace {
+        let mut sum = ResiduePlace::default();
         for i in 1..places.len().saturating_sub(1) {
             let d = self.difference(&places[i], &places[0]);
             let e = self.difference(&places[i + 1], &places[0]);
@@ -111,7 +111,7 @@ impl Field {
     }
 
     /// A name of the line through two places: its direction and moment, scaled to be the same for all pairs.
-    pub fn line(&self, a: &Place, b: &Place) -> [Place; 2] {
+    pub fn line(&self, a: &ResiduePlace, b: &ResiduePlace) -> [ResiduePlace; 2] {
         let d = self.difference(b, a);
         let first: Both =
             std::array::from_fn(|p| d.iter().map(|c| c[p]).find(|c| *c != 0).unwrap_or_default());

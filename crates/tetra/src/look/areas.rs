@@ -60,7 +60,7 @@ impl Cone {
 /// A piece of a region's border: from one direction to the next along a great circle, or along the circle of
 /// a cone.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+struct BorderPiece {
     from: V,
     to: V,
     /// The cone whose circle it follows, counter-clockwise around its axis.
@@ -68,7 +68,7 @@ struct Piece {
 }
 
 /// The part of a beam that is within some cones.
-enum Part {
+enum BeamPart {
     /// All of the beam.
     Whole,
     /// There is none.
@@ -76,14 +76,14 @@ enum Part {
     /// The beam is thinner than rounding: whether a corner of it is in the part.
     Thin(bool),
     /// The corners of the beam, and the border of the part.
-    Within(Vec<V>, Vec<Piece>),
+    Within(Vec<V>, Vec<BorderPiece>),
 }
 
-fn part(ring: &[Edge], cones: &[Cone]) -> Part {
+fn part(ring: &[Edge], cones: &[Cone]) -> BeamPart {
     let mut ways: Vec<V> = ring.iter().map(|e| unit(e.corner.way.v)).collect();
     if cones.iter().all(|cone| ways.iter().all(|w| cone.holds(*w))) {
         // Cones are convex.
-        return Part::Whole;
+        return BeamPart::Whole;
     }
     // Between corners that are one but for rounding a border has no direction.
     ways.dedup_by(|a, b| is_near(a, b));
@@ -91,10 +91,10 @@ fn part(ring: &[Edge], cones: &[Cone]) -> Part {
         ways.pop();
     }
     if ways.len() < 3 {
-        return Part::Thin(ways.iter().any(|w| cones.iter().all(|cone| cone.holds(*w))));
+        return BeamPart::Thin(ways.iter().any(|w| cones.iter().all(|cone| cone.holds(*w))));
     }
-    let mut border: Vec<Piece> = (0..ways.len())
-        .map(|k| Piece {
+    let mut border: Vec<BorderPiece> = (0..ways.len())
+        .map(|k| BorderPiece {
             from: ways[k],
             to: ways[(k + 1) % ways.len()],
             circle: None,
@@ -103,10 +103,10 @@ fn part(ring: &[Edge], cones: &[Cone]) -> Part {
     for number in 0..cones.len() {
         match within(&border, cones, number, |v| inside_ring(&ways, v)) {
             Some(next) => border = next,
-            None => return Part::Nothing,
+            None => return BeamPart::Nothing,
         }
     }
-    Part::Within(ways, border)
+    BeamPart::Within(ways, border)
 }
 
 /// The solid angle of the part of a beam that is within all cones; nothing where there is no such part. With
@@ -118,10 +118,10 @@ fn part(ring: &[Edge], cones: &[Cone]) -> Part {
 /// what is left is within the beam's own solid angle.
 pub fn area_within(ring: &[Edge], cones: &[Cone]) -> Option<f64> {
     let (ways, border) = match part(ring, cones) {
-        Part::Whole => return Some(area(ring)),
-        Part::Nothing => return None,
-        Part::Thin(some) => return some.then_some(0.0),
-        Part::Within(ways, border) => (ways, border),
+        BeamPart::Whole => return Some(area(ring)),
+        BeamPart::Nothing => return None,
+        BeamPart::Thin(some) => return some.then_some(0.0),
+        BeamPart::Within(ways, border) => (ways, border),
     };
     let turn = 2.0 * PI;
     let sum = enclosed(&border, cones, |v| inside_ring(&ways, v)).rem_euclid(turn);
@@ -138,14 +138,14 @@ pub fn area_within(ring: &[Edge], cones: &[Cone]) -> Option<f64> {
 /// is in an octant and the cone is convex, so it is enough that the part's border is.
 pub fn is_within(ring: &[Edge], cones: &[Cone], cone: &Cone) -> bool {
     match part(ring, cones) {
-        Part::Whole => ring.iter().all(|e| cone.holds(unit(e.corner.way.v))),
-        Part::Nothing => true,
-        Part::Thin(_) => ring
+        BeamPart::Whole => ring.iter().all(|e| cone.holds(unit(e.corner.way.v))),
+        BeamPart::Nothing => true,
+        BeamPart::Thin(_) => ring
             .iter()
             .map(|e| unit(e.corner.way.v))
             .all(|w| cone.holds(w) || cones.iter().any(|other| !other.holds(w))),
-        Part::Within(_, border) => {
-            let is_in = |piece: &Piece| {
+        BeamPart::Within(_, border) => {
+            let is_in = |piece: &BorderPiece| {
                 [piece.from, piece.to].iter().all(|v| cone.holds(*v))
                     && crossings(piece, cones, cone).is_empty()
             };
@@ -165,7 +165,7 @@ fn inside_ring(ways: &[V], v: V) -> bool {
 }
 
 /// Positions along a piece, as parts of its whole, at which it crosses a cone's circle.
-fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
+fn crossings(piece: &BorderPiece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
     // Points of the piece: centre + cos(t)·e + sin(t)·f for t from 0 to its angle.
     let (centre, e, f, angle) = frame(piece, cones);
     let (c, a, b) = (
@@ -194,7 +194,7 @@ fn crossings(piece: &Piece, cones: &[Cone], cone: &Cone) -> Vec<(f64, V)> {
 }
 
 /// A piece as a circle: its centre, two axes, and the angle it runs through.
-fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
+fn frame(piece: &BorderPiece, cones: &[Cone]) -> (V, V, V, f64) {
     match piece.circle {
         None => {
             let normal = unit(cross(piece.from, piece.to));
@@ -226,13 +226,13 @@ fn frame(piece: &Piece, cones: &[Cone]) -> (V, V, V, f64) {
 
 /// The border of the part within one more cone; nothing if there is no such part.
 fn within(
-    border: &[Piece],
+    border: &[BorderPiece],
     cones: &[Cone],
     number: usize,
     holds: impl Fn(V) -> bool,
-) -> Option<Vec<Piece>> {
+) -> Option<Vec<BorderPiece>> {
     let cone = &cones[number];
-    let mut kept: Vec<Piece> = Vec::new();
+    let mut kept: Vec<BorderPiece> = Vec::new();
     for piece in border {
         let (centre, e, f, angle) = frame(piece, cones);
         let at = |t: f64| -> V {
@@ -244,7 +244,7 @@ fn within(
         for pair in stops.windows(2) {
             // Between two crossings all of the piece is on one side.
             if pair[1].0 - pair[0].0 > SHORTEST && cone.holds(at((pair[0].0 + pair[1].0) / 2.0)) {
-                kept.push(Piece {
+                kept.push(BorderPiece {
                     from: pair[0].1,
                     to: pair[1].1,
                     circle: piece.circle,
@@ -261,7 +261,7 @@ fn within(
         let e = unit(cross(cone.axis, smallest_axis(cone.axis)));
         let sine = (1.0 - cone.cosine * cone.cosine).max(0.0).sqrt();
         let start: V = std::array::from_fn(|k| cone.axis[k] * cone.cosine + e[k] * sine);
-        return Some(vec![Piece {
+        return Some(vec![BorderPiece {
             from: start,
             to: start,
             circle: Some(number),
@@ -273,7 +273,7 @@ fn within(
         closed.push(*piece);
         let next = &kept[(k + 1) % kept.len()];
         if !is_near(&piece.to, &next.from) {
-            closed.push(Piece {
+            closed.push(BorderPiece {
                 from: piece.to,
                 to: next.from,
                 circle: Some(number),
@@ -292,7 +292,7 @@ fn smallest_axis(v: V) -> V {
 }
 
 /// The solid angle within a border, but for whole turns.
-fn enclosed(border: &[Piece], cones: &[Cone], holds: impl Fn(V) -> bool) -> f64 {
+fn enclosed(border: &[BorderPiece], cones: &[Cone], holds: impl Fn(V) -> bool) -> f64 {
     let mut sum = 2.0 * PI;
     for (k, piece) in border.iter().enumerate() {
         let (centre, e, f, mut angle) = frame(piece, cones);

@@ -8,7 +8,7 @@
 use sightline_geometry::vector::dot;
 
 use super::eye::Eye;
-use super::planes::{Corner, Facing, Kind, Plane, Planes, Side};
+use super::planes::{Corner, EyePlane, Facing, Kind, Planes, Side};
 use super::rounded::{BOUND, Rounded, unit};
 
 /// A corner of a ring and the side of the border from it to the next corner.
@@ -28,7 +28,7 @@ pub type Ring = Vec<Edge>;
 pub fn octant(planes: &mut Planes, eye: &Eye<'_>, signs: u32, ring: &mut Ring) {
     let sides: [Side; 3] = std::array::from_fn(|k| {
         let normal = std::array::from_fn(|j| f64::from(u8::from(j == k)));
-        let side = planes.add(Plane {
+        let side = planes.add(EyePlane {
             kind: Kind::Normal(normal),
             normal: Rounded::exact(normal),
         });

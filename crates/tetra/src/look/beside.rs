@@ -8,7 +8,7 @@ use sightline_geometry::vector::{cross, dot};
 
 use super::beam::Edge;
 use super::eye::Eye;
-use super::rounded::{LEAST, Number, V, size};
+use super::rounded::{LEAST, RoundedNumber, V, size};
 
 /// The edges of a triangle, as seen from the viewpoint.
 pub(super) struct Edges {
@@ -48,7 +48,7 @@ impl Edges {
         let turn = -dot(normals[0], along[2]);
         let reach = size(along[2]);
         let error = 128.0 * U * sizes[0] * reach + 8.0 * LEAST * (reach + 1.0);
-        match (Number { value: turn, error }).sign()? {
+        match (RoundedNumber { value: turn, error }).sign()? {
             1 => {}
             _ => normals = normals.map(|n| n.map(|c| -c)),
         }

@@ -11,7 +11,7 @@ use sightline_geometry::rounding::UNIT as U;
 use super::rounded::Rounded;
 
 /// A vector of integers.
-pub type Integers = [IBig; 3];
+pub type IntegerVector = [IBig; 3];
 
 /// A viewpoint, and the points that it looks at.
 pub struct Eye<'a> {
@@ -92,17 +92,17 @@ impl<'a> Eye<'a> {
     }
 
     /// The way to a point in integers.
-    pub fn to_exactly(&self, number: u32) -> Integers {
+    pub fn to_exactly(&self, number: u32) -> IntegerVector {
         self.apart_exactly(self.point(number), self.x)
     }
 
     /// The vector from one point to another in integers.
-    pub fn between_exactly(&self, a: u32, b: u32) -> Integers {
+    pub fn between_exactly(&self, a: u32, b: u32) -> IntegerVector {
         self.apart_exactly(self.point(b), self.point(a))
     }
 
     /// p − q in integers.
-    fn apart_exactly(&self, p: [f64; 3], q: [f64; 3]) -> Integers {
+    fn apart_exactly(&self, p: [f64; 3], q: [f64; 3]) -> IntegerVector {
         std::array::from_fn(|k| {
             let d = p[k] - q[k];
             // What rounding took away (Knuth's two-sum): most often nothing, and then one number is enough.
@@ -138,13 +138,13 @@ pub fn unit_of(numbers: impl Iterator<Item = f64>) -> i32 {
 }
 
 /// a × b.
-pub fn cross(a: &Integers, b: &Integers) -> Integers {
+pub fn cross(a: &IntegerVector, b: &IntegerVector) -> IntegerVector {
     let minor = |i: usize, j: usize| &a[i] * &b[j] - &a[j] * &b[i];
     [minor(1, 2), minor(2, 0), minor(0, 1)]
 }
 
 /// a · b.
-pub fn dot(a: &Integers, b: &Integers) -> IBig {
+pub fn dot(a: &IntegerVector, b: &IntegerVector) -> IBig {
     &a[0] * &b[0] + &a[1] * &b[1] + &a[2] * &b[2]
 }
 
@@ -158,7 +158,7 @@ pub fn sign(n: &IBig) -> i32 {
 }
 
 /// The direction of a vector of integers, rounded, with a size in [1, 2).
-pub fn rounded(a: &Integers) -> Rounded {
+pub fn rounded(a: &IntegerVector) -> Rounded {
     use dashu_int::ops::BitTest;
     // Of each component the bits that a double holds beside the longest one, and one bit of error at most.
     let longest = a.iter().map(BitTest::bit_len).max().unwrap_or(0);

@@ -2,7 +2,7 @@
 
 use super::beam::{self, Edge, Place, Ring};
 use super::eye::Eye;
-use super::planes::{Facing, Plane, Planes};
+use super::planes::{EyePlane, Facing, Planes};
 use super::rings::Rings;
 
 /// A triangle whose plane does not hold the viewpoint.
@@ -10,7 +10,7 @@ use super::rings::Rings;
 pub(super) struct Outline {
     pub facing: Facing,
     /// The planes of the edges in front order, and whether the inner side is the negative one.
-    edges: [(Plane, bool); 3],
+    edges: [(EyePlane, bool); 3],
 }
 
 impl Outline {
@@ -20,7 +20,7 @@ impl Outline {
         let [a, b, c] = facing.points;
         Some(Self {
             facing,
-            edges: [(a, b), (b, c), (c, a)].map(|(a, b)| (Plane::edge(eye, a, b), a > b)),
+            edges: [(a, b), (b, c), (c, a)].map(|(a, b)| (EyePlane::edge(eye, a, b), a > b)),
         })
     }
 
@@ -105,7 +105,7 @@ pub(super) enum Order {
     /// It lies in the plane of a piece and overlaps it.
     Level,
     /// It goes through the plane of a piece, along this plane.
-    Crosses(Plane),
+    Crosses(EyePlane),
 }
 
 /// Where a triangle is relative to a face in a ring that the face covers. Needs and forgets some planes.
@@ -123,7 +123,7 @@ pub(super) fn order(
         return Order::Hidden;
     }
     // Two faces in one plane have no plane in which they meet.
-    let may_be_none = |meet: &Plane| meet.normal.size() <= meet.normal.error;
+    let may_be_none = |meet: &EyePlane| meet.normal.size() <= meet.normal.error;
     let meet = (!level)
         .then(|| face.meet(facing))
         .filter(|meet| !may_be_none(meet) || !face.is_level_with(eye, facing));

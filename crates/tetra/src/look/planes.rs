@@ -7,8 +7,8 @@
 
 use sightline_geometry::rounding::UNIT as U;
 
-use super::eye::{self, Eye, Integers};
-use super::rounded::{Number, Rounded};
+use super::eye::{self, Eye, IntegerVector};
+use super::rounded::{Rounded, RoundedNumber};
 
 /// What defines a plane through the viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,14 +25,14 @@ pub enum Kind {
 
 /// A plane through the viewpoint.
 #[derive(Clone, Copy, Debug)]
-pub struct Plane {
+pub struct EyePlane {
     /// Its definition.
     pub kind: Kind,
     /// Its normal, scaled.
     pub normal: Rounded,
 }
 
-impl Plane {
+impl EyePlane {
     /// The plane through two points.
     #[inline]
     pub fn edge(eye: &Eye<'_>, a: u32, b: u32) -> Self {
@@ -93,7 +93,7 @@ pub struct Corner {
 #[derive(Default)]
 pub struct Planes {
     /// The planes. The newest are dropped with the beams that need them.
-    pub list: Vec<Plane>,
+    pub list: Vec<EyePlane>,
     /// Signs that were decided.
     pub decided: u64,
     /// Signs that needed integers.
@@ -106,14 +106,14 @@ const POOR: f64 = 1.0 / (1u64 << 30) as f64;
 
 impl Planes {
     /// Adds a plane.
-    pub fn add(&mut self, plane: Plane) -> Side {
+    pub fn add(&mut self, plane: EyePlane) -> Side {
         self.list.push(plane);
         Side::new(self.list.len() - 1, false)
     }
 
     /// Adds the plane through two points, with the side on which (a − x) × (b − x) is.
     pub fn add_edge(&mut self, eye: &Eye<'_>, a: u32, b: u32) -> Side {
-        self.add(Plane::edge(eye, a, b));
+        self.add(EyePlane::edge(eye, a, b));
         Side::new(self.list.len() - 1, a > b)
     }
 
@@ -139,7 +139,7 @@ impl Planes {
 
     /// The sign of a corner's product with a plane's normal.
     #[inline]
-    pub fn sign_of(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &Plane) -> i32 {
+    pub fn sign_of(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &EyePlane) -> i32 {
         self.decided += 1;
         match corner.way.side(&plane.normal) {
             Some(sign) => sign,
@@ -149,7 +149,7 @@ impl Planes {
 
     /// The same where quick bounds leave it open.
     #[cold]
-    fn sign_closely(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &Plane) -> i32 {
+    fn sign_closely(&mut self, eye: &Eye<'_>, corner: &Corner, plane: &EyePlane) -> i32 {
         if let Some(sign) = corner.way.dot(&plane.normal).sign() {
             return sign;
         }
@@ -208,7 +208,7 @@ impl Planes {
     }
 
     /// A corner's direction in integers.
-    fn way_exactly(&self, eye: &Eye<'_>, corner: &Corner) -> Integers {
+    fn way_exactly(&self, eye: &Eye<'_>, corner: &Corner) -> IntegerVector {
         if corner.point != NONE {
             return eye.to_exactly(corner.point);
         }
@@ -228,7 +228,7 @@ pub struct Facing {
     /// The normal (b − a) × (c − a).
     pub normal: Rounded,
     /// Its scalar product with a − x: positive.
-    pub height: Number,
+    pub height: RoundedNumber,
 }
 
 impl Facing {
@@ -256,7 +256,7 @@ impl Facing {
             _ => Some(Self {
                 points: [a, c, b],
                 normal: normal.reversed(),
-                height: Number {
+                height: RoundedNumber {
                     value: -height.value,
                     ..height
                 },
@@ -271,7 +271,7 @@ impl Facing {
             let value = along.value - self.height.value;
             let error =
                 along.error + self.height.error + U * (along.value.abs() + self.height.value.abs());
-            Number { value, error }.sign() == Some(1)
+            RoundedNumber { value, error }.sign() == Some(1)
         })
     }
 
@@ -290,9 +290,9 @@ impl Facing {
 
     /// The plane that divides the directions in which the other face is nearer from those in which this one
     /// is.
-    pub fn meet(&self, other: &Self) -> Plane {
+    pub fn meet(&self, other: &Self) -> EyePlane {
         let normal = Rounded::combination(self.height, &other.normal, other.height, &self.normal);
-        Plane {
+        EyePlane {
             kind: Kind::Meet(self.points, other.points),
             normal: normal.scaled(),
         }
@@ -300,7 +300,7 @@ impl Facing {
 }
 
 /// The normal of a plane in integers, up to a positive factor.
-fn normal_exactly(eye: &Eye<'_>, kind: Kind) -> Integers {
+fn normal_exactly(eye: &Eye<'_>, kind: Kind) -> IntegerVector {
     match kind {
         Kind::Edge(a, b) => eye::cross(&eye.to_exactly(a), &eye.to_exactly(b)),
         Kind::Meet(first, second) => {

@@ -41,14 +41,14 @@ pub struct Rounded {
 
 /// A number and a bound on its error.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Number {
+pub struct RoundedNumber {
     /// The number.
     pub value: f64,
     /// The bound.
     pub error: f64,
 }
 
-impl Number {
+impl RoundedNumber {
     /// The number's sign, if the bound leaves no doubt.
     #[inline]
     pub fn sign(self) -> Option<i32> {
@@ -108,13 +108,13 @@ impl Rounded {
 
     /// The scalar product: three products, each as above, and two sums.
     #[inline]
-    pub fn dot(&self, b: &Self) -> Number {
+    pub fn dot(&self, b: &Self) -> RoundedNumber {
         let (x, y) = (&self.v, &b.v);
         let value = x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
         let (sa, sb) = (self.size(), b.size());
         let error =
             3.0 * (sa * b.error + sb * self.error + self.error * b.error) + 10.0 * U * sa * sb;
-        Number {
+        RoundedNumber {
             value,
             error: error * (1.0 + 8.0 * U) + LEAST,
         }
@@ -129,16 +129,16 @@ impl Rounded {
         let (x, y) = (&self.v, &b.v);
         let value = x[0] * y[0] + x[1] * y[1] + x[2] * y[2];
         let error = 12.1 * (self.error + b.error) + 48.0 * U;
-        Number { value, error }.sign()
+        RoundedNumber { value, error }.sign()
     }
 
     /// p·a − q·b.
-    pub fn combination(p: Number, a: &Self, q: Number, b: &Self) -> Self {
+    pub fn combination(p: RoundedNumber, a: &Self, q: RoundedNumber, b: &Self) -> Self {
         let mut v = [0.0; 3];
         for (k, v) in v.iter_mut().enumerate() {
             *v = p.value * a.v[k] - q.value * b.v[k];
         }
-        let part = |p: Number, a: &Self| {
+        let part = |p: RoundedNumber, a: &Self| {
             let (s, t) = (p.value.abs(), a.size());
             s * a.error + t * p.error + p.error * a.error + 3.0 * U * s * t
         };

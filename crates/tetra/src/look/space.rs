@@ -8,7 +8,7 @@
 use sightline_geometry::rounding::UNIT as U;
 
 use super::beam::Edge;
-use super::eye::{self, Eye, Integers};
+use super::eye::{self, Eye, IntegerVector};
 use super::planes::{Facing, Planes};
 use super::rounded::Rounded;
 use super::stack::Entry;
@@ -329,7 +329,12 @@ fn entry(cell: u32) -> Entry {
 }
 
 /// The sign of (p × q) · (a − x): positive where the viewpoint is behind the plane through a along p and q.
-fn side(eye: &Eye<'_>, a: u32, [p, q]: [Rounded; 2], exactly: impl Fn() -> [Integers; 2]) -> i32 {
+fn side(
+    eye: &Eye<'_>,
+    a: u32,
+    [p, q]: [Rounded; 2],
+    exactly: impl Fn() -> [IntegerVector; 2],
+) -> i32 {
     eye.to(a).dot(&p.cross(&q)).sign().unwrap_or_else(|| {
         let [p, q] = exactly();
         eye::sign(&eye::dot(&eye.to_exactly(a), &eye::cross(&p, &q)))

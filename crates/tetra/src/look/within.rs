@@ -4,7 +4,7 @@ use sightline_geometry::vector::{cross, dot};
 
 use super::areas::{Cone, area, area_within, is_within};
 use super::beam::Edge;
-use super::planes::{Facing, Kind, Plane, Planes, Side};
+use super::planes::{EyePlane, Facing, Kind, Planes, Side};
 use super::rounded::{Rounded, unit};
 use super::view::View;
 
@@ -73,7 +73,7 @@ impl Limits {
                 let normal = std::array::from_fn(|k| {
                     libm::sin(half) * axis[k] + libm::cos(half) * (c * u[k] + s * v[k])
                 });
-                planes.add(Plane {
+                planes.add(EyePlane {
                     kind: Kind::Normal(normal),
                     normal: Rounded::exact(normal).scaled(),
                 })

@@ -115,14 +115,17 @@ fn is_by_meets(eye: &Eye<'_>, first: Kind, second: Kind, kind: Kind) -> bool {
     }
 }
 
-type Face = [u32; 3];
+type ZeroFace = [u32; 3];
 
-fn has_edge(face: Face, a: u32, b: u32) -> bool {
+fn has_edge(face: ZeroFace, a: u32, b: u32) -> bool {
     face.contains(&a) && face.contains(&b)
 }
 
 /// Of two pairs of faces with one in common, the two others.
-fn others((f, g): (Face, Face), (h, k): (Face, Face)) -> Option<(Face, Face)> {
+fn others(
+    (f, g): (ZeroFace, ZeroFace),
+    (h, k): (ZeroFace, ZeroFace),
+) -> Option<(ZeroFace, ZeroFace)> {
     match () {
         () if f == h => Some((g, k)),
         () if f == k => Some((g, h)),

@@ -56,7 +56,7 @@ struct Uniform {
 }
 
 /// A scene on the device.
-pub(super) struct LineScene {
+pub(super) struct DeviceLineScene {
     pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
     /// The scene's bindings.
     pub(super) group: wgpu::BindGroup,
@@ -80,7 +80,7 @@ fn power_below(x: f32) -> (f32, f32) {
     )
 }
 
-impl LineScene {
+impl DeviceLineScene {
     /// Builds the hierarchy over the triangles `distinct` of `scene` and copies it to the device, at most
     /// `page_bytes` in a binding.
     ///

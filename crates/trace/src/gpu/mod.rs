@@ -41,7 +41,7 @@ use crate::error::BackendError;
 use crate::packet::LineTracer;
 use device::Gpu;
 use geometry::{DrawStyle, Geometry};
-use line_scene::{LineScene, Refusal};
+use line_scene::{DeviceLineScene, Refusal};
 use renderer::{GpuRenderer, Work};
 use tracer::{GpuTracer, LineKit};
 
@@ -205,7 +205,7 @@ impl Backend for GpuBackend {
         // The hierarchy is built by all threads of the pool.
         crate::prepared::outside_the_pool();
         let made = self.lines[set as usize].get_or_init(|| {
-            LineScene::new(&self.gpu.device, &self.scene, ids, u64::MAX)
+            DeviceLineScene::new(&self.gpu.device, &self.scene, ids, u64::MAX)
                 .map(|scene| Arc::new(LineKit::new(scene)))
         });
         match made {

@@ -16,7 +16,7 @@ use super::geometry::{Geometry, Visible};
 use super::locks::lock;
 use super::pipelines::{CUBES, FACE_STRIDE, Kit, face_uniforms};
 use super::reading::{Reading, Spare};
-use super::tally::{BEFORE_ENDS, ENTRY_BYTES, LIST_HEAD, LISTS, List, Tally};
+use super::tally::{BEFORE_ENDS, DeviceTally, ENTRY_BYTES, LIST_HEAD, LISTS, List};
 use crate::backend::CubeRenderer;
 use crate::cube::{CubeImage, SKY, Strata};
 use crate::error::BackendError;
@@ -38,7 +38,7 @@ type Runs = Vec<(u32, u32, u32)>;
 /// Buffers for rendering cubes; used by one call at a time.
 #[derive(Default)]
 pub(super) struct Work {
-    tally: Option<Tally>,
+    tally: Option<DeviceTally>,
     /// Entries of a list to read back for each cube; 0 before the first batch.
     entries: u32,
     spare: Spare,
@@ -64,7 +64,7 @@ struct Layout {
 }
 
 /// A batch of cubes that was submitted to the device.
-struct Flight {
+struct CubeBatch {
     /// Which of the points.
     cubes: Range<usize>,
     /// Which of the lists.
@@ -177,7 +177,7 @@ impl<'a> GpuRenderer<'a> {
         {
             // The old buffers are freed first, since there may not be room for both.
             work.tally = None;
-            let tally = Tally::new(&b.device, self.kit, self.geometry.slots(), self.pixels());
+            let tally = DeviceTally::new(&b.device, self.kit, self.geometry.slots(), self.pixels());
             work.tally = Some(tally.map_err(|reason| b.failed(reason))?);
         }
         let capacity = work.tally.as_ref().map_or(0, |t| t.capacity);
@@ -239,7 +239,7 @@ impl<'a> GpuRenderer<'a> {
         cubes: Range<usize>,
         list: usize,
         want: Want,
-    ) -> Result<Flight, BackendError> {
+    ) -> Result<CubeBatch, BackendError> {
         let b = self.gpu;
         let layout = self.layout(work, cubes.len(), want);
         let buffer = work.spare.buffer(&self.gpu.device, layout.bytes);
@@ -281,7 +281,7 @@ impl<'a> GpuRenderer<'a> {
             encoder.copy_buffer_to_buffer(&into.entries, 0, &buffer, 0, layout.list_bytes);
         }
         let read = Reading::submit(self.gpu, encoder, buffer)?;
-        Ok(Flight {
+        Ok(CubeBatch {
             cubes,
             list,
             layout,
@@ -355,11 +355,11 @@ impl<'a> GpuRenderer<'a> {
     fn land(
         &self,
         work: &mut Work,
-        flight: Flight,
+        flight: CubeBatch,
         want: Want,
         take: &mut dyn FnMut(usize, Runs, Option<Vec<u32>>),
     ) -> Result<(), BackendError> {
-        let Flight {
+        let CubeBatch {
             cubes,
             list,
             layout,

@@ -17,7 +17,7 @@ const LIST_BYTES: u64 = 1 << 26;
 pub(super) const ENTRY_BYTES: u64 = 12;
 
 /// Buffers for up to `slots` slots.
-pub(super) struct Tally {
+pub(super) struct DeviceTally {
     pub(super) slots: u32,
     /// Most entries of a list.
     pub(super) capacity: u32,
@@ -41,7 +41,7 @@ pub(super) fn most_slots(limits: &wgpu::Limits) -> u32 {
     u32::try_from(bytes / 4).unwrap_or(u32::MAX)
 }
 
-impl Tally {
+impl DeviceTally {
     /// Makes buffers for at least `slots` slots and cubes of `pixels` pixels.
     ///
     /// # Errors

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, mpsc};
 
 use super::device::{Gpu, PATIENCE};
-use super::line_scene::LineScene;
+use super::line_scene::DeviceLineScene;
 use super::locks::lock;
 use super::pipelines::scoped;
 use super::rounds::{GpuRounds, RoundsKit};
@@ -36,7 +36,7 @@ const RAY_WORDS: usize = 6 * LANES;
 const HIT_WORDS: usize = 2 * LANES;
 
 /// Buffers of one batch.
-struct Slot {
+struct BatchBuffers {
     /// Packets that fit, in whole workgroups.
     capacity: usize,
     /// Mapped for writing while the slot is in the pool.
@@ -48,9 +48,9 @@ struct Slot {
 }
 
 /// A batch that was submitted to the device.
-struct Flight<'p> {
+struct LineBatch<'p> {
     packets: &'p mut [Packet],
-    slot: Slot,
+    slot: BatchBuffers,
     submission: wgpu::SubmissionIndex,
     /// Receives two messages: the read-back is mapped; the upload is mapped for the next batch.
     mapped: mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>,
@@ -58,13 +58,13 @@ struct Flight<'p> {
 
 /// A scene on the device, and a pool of buffers for batches.
 pub(super) struct LineKit {
-    scene: LineScene,
-    pool: Mutex<Vec<Slot>>,
+    scene: DeviceLineScene,
+    pool: Mutex<Vec<BatchBuffers>>,
     rounds: RoundsKit,
 }
 
 impl LineKit {
-    pub(super) fn new(scene: LineScene) -> Self {
+    pub(super) fn new(scene: DeviceLineScene) -> Self {
         Self {
             scene,
             pool: Mutex::default(),
@@ -73,12 +73,12 @@ impl LineKit {
     }
 
     /// What whole rounds on the device need.
-    pub(super) fn for_rounds(&self) -> (&LineScene, &RoundsKit) {
+    pub(super) fn for_rounds(&self) -> (&DeviceLineScene, &RoundsKit) {
         (&self.scene, &self.rounds)
     }
 
     /// A slot for this number of packets, from the pool or new.
-    fn slot(&self, device: &wgpu::Device, packets: usize) -> Result<Slot, String> {
+    fn slot(&self, device: &wgpu::Device, packets: usize) -> Result<BatchBuffers, String> {
         let spare = {
             let mut pool = lock(&self.pool);
             let fit = pool
@@ -90,11 +90,11 @@ impl LineKit {
         };
         match spare {
             Some(slot) => Ok(slot),
-            None => Slot::new(device, &self.scene, packets.next_power_of_two().max(GROUP)),
+            None => BatchBuffers::new(device, &self.scene, packets.next_power_of_two().max(GROUP)),
         }
     }
 
-    fn put_back(&self, slot: Slot) {
+    fn put_back(&self, slot: BatchBuffers) {
         let mut pool = lock(&self.pool);
         pool.push(slot);
         if pool.len() > KEPT
@@ -105,9 +105,13 @@ impl LineKit {
     }
 }
 
-impl Slot {
+impl BatchBuffers {
     /// Buffers for `capacity` packets.
-    fn new(device: &wgpu::Device, scene: &LineScene, capacity: usize) -> Result<Self, String> {
+    fn new(
+        device: &wgpu::Device,
+        scene: &DeviceLineScene,
+        capacity: usize,
+    ) -> Result<Self, String> {
         scoped(device, || {
             let make = |label, words: usize, usage, mapped_at_creation| {
                 let size = (capacity * words * 4) as u64;
@@ -221,7 +225,7 @@ impl<'a> GpuTracer<'a> {
     }
 
     /// Records and submits one batch.
-    fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<Flight<'p>, BackendError> {
+    fn launch<'p>(&self, packets: &'p mut [Packet]) -> Result<LineBatch<'p>, BackendError> {
         let b = self.gpu;
         let slot = self
             .kit
@@ -260,7 +264,7 @@ impl<'a> GpuTracer<'a> {
         slot.upload
             .map_async(wgpu::MapMode::Write, .., move |r| drop(again.send(r)));
         b.check()?;
-        Ok(Flight {
+        Ok(LineBatch {
             packets,
             slot,
             submission,
@@ -269,9 +273,9 @@ impl<'a> GpuTracer<'a> {
     }
 
     /// Waits for a batch and reads its hits. The slot returns to the pool only on success.
-    fn land(&self, flight: Flight<'_>) -> Result<(), BackendError> {
+    fn land(&self, flight: LineBatch<'_>) -> Result<(), BackendError> {
         let b = self.gpu;
-        let Flight {
+        let LineBatch {
             packets,
             slot,
             submission,

@@ -79,7 +79,7 @@ fn batches_pages_and_threads_change_no_bit() {
         return;
     };
     let tracer = |page_bytes| {
-        let scene = LineScene::new(
+        let scene = DeviceLineScene::new(
             &backend.gpu.device,
             &scene,
             &(0..scene.len()).collect::<Vec<_>>(),
@@ -132,7 +132,7 @@ fn a_scene_that_does_not_fit_is_refused_with_the_limit() {
     let Some(backend) = backend(&scene) else {
         return;
     };
-    let refused = LineScene::new(
+    let refused = DeviceLineScene::new(
         &backend.gpu.device,
         &scene,
         &(0..scene.len()).collect::<Vec<_>>(),

@@ -7,14 +7,14 @@ use super::buffers::Buffers;
 use super::component::Component;
 use super::draco::{Decoded, Elements};
 use super::json;
-use super::source::{QUANTIZATION, Source};
+use super::source::{GltfContext, QUANTIZATION};
 use super::sparse::Overlay;
 use super::uses::{Role, Use};
 use crate::SceneError;
 use crate::load::limits::EXPORT_AGAIN;
 
 /// A checked accessor.
-pub(super) struct Accessor<'a> {
+pub(super) struct CheckedAccessor<'a> {
     /// The elements from the first on; `None` means that all are zero.
     base: Option<&'a [u8]>,
     stride: usize,
@@ -25,9 +25,9 @@ pub(super) struct Accessor<'a> {
     sparse: Option<Overlay<'a>>,
 }
 
-impl<'a> Accessor<'a> {
+impl<'a> CheckedAccessor<'a> {
     fn new(
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         buffers: &'a Buffers<'_>,
         used: Use,
@@ -193,7 +193,7 @@ impl<'a> Accessor<'a> {
 
 /// Refuses types that the role does not allow.
 fn check_type(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     label: &str,
     a: &json::Accessor,
@@ -244,14 +244,14 @@ fn check_type(
 
 /// The accessors that drawn geometry needs, by role and number.
 pub(super) struct Accessors<'a> {
-    by_role: [Vec<Option<Accessor<'a>>>; Role::COUNT],
-    none: Accessor<'a>,
+    by_role: [Vec<Option<CheckedAccessor<'a>>>; Role::COUNT],
+    none: CheckedAccessor<'a>,
 }
 
 impl<'a> Accessors<'a> {
     /// Checks every accessor that is used.
     pub(super) fn resolve(
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         (buffers, decoded): (&'a Buffers<'_>, &'a Decoded),
         used: &[Use],
@@ -260,17 +260,17 @@ impl<'a> Accessors<'a> {
         let mut by_role: [_; Role::COUNT] = std::array::from_fn(|_| slots());
         for used in used {
             let accessor = match decoded.get(used.role, used.accessor) {
-                None => Accessor::new(source, root, buffers, *used)?,
+                None => CheckedAccessor::new(source, root, buffers, *used)?,
                 Some(elements) => {
                     let a = &root.accessors[used.accessor];
                     let label = format!("{}, accessor {}", used.by, used.accessor);
                     check_type(source, root, &label, a, elements.component, used.role)?;
-                    Accessor::decoded(elements, used.role, a.normalized)
+                    CheckedAccessor::decoded(elements, used.role, a.normalized)
                 }
             };
             by_role[used.role as usize][used.accessor] = Some(accessor);
         }
-        let none = Accessor {
+        let none = CheckedAccessor {
             base: None,
             stride: 0,
             size: 0,
@@ -283,7 +283,7 @@ impl<'a> Accessors<'a> {
     }
 
     /// Accessor `number`, which [`uses`] must have named; an empty one otherwise.
-    pub(super) fn get(&self, role: Role, number: usize) -> &Accessor<'a> {
+    pub(super) fn get(&self, role: Role, number: usize) -> &CheckedAccessor<'a> {
         self.by_role[role as usize]
             .get(number)
             .and_then(Option::as_ref)

@@ -12,7 +12,7 @@ use base64::Engine;
 
 use super::kinds::Material;
 use super::nodes::Draw;
-use super::source::Source;
+use super::source::GltfContext;
 use super::{json, meshopt, uses};
 use crate::SceneError;
 use crate::load::limits::{Limits, read_file};
@@ -35,7 +35,7 @@ impl<'a> Buffers<'a> {
     /// Reads the buffers that `draws` and the buffer views `images` need. `binary` is the BIN chunk of a
     /// GLB, which is buffer 0 when that has no address.
     pub(super) fn read(
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         text: &[u8],
         binary: Option<&'a [u8]>,
@@ -121,7 +121,7 @@ impl<'a> Buffers<'a> {
     /// The bytes of view `v`, which must be one that was wanted.
     pub(super) fn view(
         &self,
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         v: usize,
     ) -> Result<&[u8], SceneError> {
@@ -141,7 +141,7 @@ impl<'a> Buffers<'a> {
 
     fn range(
         &self,
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         v: usize,
         buffer: usize,
         offset: u64,
@@ -171,7 +171,7 @@ impl<'a> Buffers<'a> {
 
 /// The bytes of one buffer, as many as it announces.
 fn one_buffer<'a>(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     number: usize,
     buffer: &json::Buffer,
     binary: Option<&'a [u8]>,
@@ -224,7 +224,7 @@ pub fn uri_bytes(
     limit: u64,
 ) -> Result<Vec<u8>, SceneError> {
     let limits = Limits::default();
-    let source = Source {
+    let source = GltfContext {
         file,
         base_dir,
         limits: &limits,
@@ -256,7 +256,7 @@ pub(super) fn decode_data(rest: &str) -> Result<Vec<u8>, String> {
 
 /// At most `limit` bytes of the file `uri` names relative to the scene.
 pub(super) fn beside(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     element: &str,
     uri: &str,
     limit: u64,

@@ -12,7 +12,7 @@ use draco_core::{DataType, DecodeLimits, DecoderBuffer, Mesh, MeshDecoder, Point
 use super::buffers::Buffers;
 use super::component::Component;
 use super::json;
-use super::source::Source;
+use super::source::GltfContext;
 use super::uses::{Role, Use, User};
 use crate::SceneError;
 
@@ -41,7 +41,7 @@ pub(super) struct Decoded {
 impl Decoded {
     /// Decodes the compressed primitives among the users in `uses`.
     pub(super) fn read(
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         buffers: &Buffers<'_>,
         uses: &[Use],
@@ -83,7 +83,7 @@ impl Decoded {
         (p, of): (&json::Primitive, &json::Draco),
         bytes: &[u8],
         roles: &BTreeSet<(usize, usize)>,
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
     ) -> Result<(), String> {
         if p.mode.unwrap_or(4) != 4 {
             return Err(

@@ -5,7 +5,7 @@
 use std::collections::BTreeSet;
 
 use super::json;
-use super::source::{MESHOPT, QUANTIZATION, Source, VISIBILITY};
+use super::source::{GltfContext, MESHOPT, QUANTIZATION, VISIBILITY};
 use crate::SceneError;
 use crate::load::marks::Marks;
 
@@ -212,7 +212,7 @@ fn find(name: &str) -> Option<&'static Extension> {
 /// Rejects a file that requires an extension which the loader does not support, and warns of each unsupported
 /// extension that the file uses.
 pub(super) fn check(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     marks: &mut Marks,
 ) -> Result<(), SceneError> {

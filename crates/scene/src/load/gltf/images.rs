@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::buffers::{self, Buffers};
 use super::json;
-use super::source::Source;
+use super::source::GltfContext;
 use super::texels::MOST_TEXELS;
 use crate::SceneError;
 use crate::masks::Wrap;
@@ -58,7 +58,7 @@ pub(super) struct Image<'a> {
 
 impl Document {
     /// The textures of a document.
-    pub(super) fn read(source: &Source<'_>, json: &[u8]) -> Result<Self, SceneError> {
+    pub(super) fn read(source: &GltfContext<'_>, json: &[u8]) -> Result<Self, SceneError> {
         serde_json::from_slice(json).map_err(|e| source.bad("glTF JSON, textures", e.to_string()))
     }
 
@@ -144,7 +144,7 @@ impl<'a> Image<'a> {
     /// The bytes of the image file.
     pub(super) fn bytes(
         &self,
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         buffers: &'a Buffers<'_>,
         element: &str,

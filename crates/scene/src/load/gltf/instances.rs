@@ -5,7 +5,7 @@ use glam::DAffine3;
 use super::accessor::Accessors;
 use super::json::{self, InstanceAttributes};
 use super::nodes::Draw;
-use super::source::Source;
+use super::source::GltfContext;
 use super::transform;
 use super::uses::{Role, User};
 use crate::SceneError;
@@ -13,7 +13,7 @@ use crate::load::limits::too_many_objects;
 
 /// Replaces each draw of a node with instances by one draw for each instance, in their order.
 pub(super) fn expand(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
     draws: Vec<Draw>,

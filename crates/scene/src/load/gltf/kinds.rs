@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use super::alpha::{Alpha, MASK};
 use super::json;
-use super::source::{Source, VISIBILITY};
+use super::source::{GltfContext, VISIBILITY};
 use crate::kinds::Kind;
 use crate::load::marks::{Mark, Marks};
 
@@ -87,7 +87,7 @@ pub(super) struct Material {
 
 /// The materials of a file.
 pub(super) fn materials(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     marks: &mut Marks,
 ) -> Vec<Material> {

@@ -42,7 +42,7 @@ pub use self::buffers::uri_bytes;
 use self::draco::Decoded;
 pub use self::extensions::{EXTENSIONS, Extension, Support};
 use self::images::Document;
-use self::source::Source;
+use self::source::GltfContext;
 use self::textures::{Resolved, Textures};
 use super::limits::{EXPORT_AGAIN, Limits, too_many_objects, too_many_triangles};
 use super::marks::{Mark, Marks};
@@ -62,7 +62,7 @@ pub(super) fn parse_json(
 ) -> Result<Scene, SceneError> {
     let alpha_textures = marks.reads_alpha();
     build(
-        &Source {
+        &GltfContext {
             file,
             base_dir,
             limits,
@@ -88,7 +88,7 @@ pub(super) fn parse_glb(
         .map_err(|fault| SceneError::bad(file, fault.element(), fault.to_string(), EXPORT_AGAIN))?;
     let alpha_textures = marks.reads_alpha();
     build(
-        &Source {
+        &GltfContext {
             file,
             base_dir,
             limits,
@@ -101,7 +101,7 @@ pub(super) fn parse_glb(
 }
 
 fn build(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     json: &[u8],
     binary: Option<&[u8]>,
     marks: &mut Marks,
@@ -253,7 +253,7 @@ fn build(
     Scene::new(source.file, triangles, objects)?.with_sources(source.file, sources)
 }
 
-fn check_version(source: &Source<'_>, root: &json::Root) -> Result<(), SceneError> {
+fn check_version(source: &GltfContext<'_>, root: &json::Root) -> Result<(), SceneError> {
     let asset = &root.asset;
     // minVersion, where given, is what a reader must understand; else version's major number decides.
     let supported = match &asset.min_version {

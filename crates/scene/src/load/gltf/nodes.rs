@@ -3,7 +3,7 @@
 use glam::DAffine3;
 
 use super::kinds::{self, Extras};
-use super::source::Source;
+use super::source::GltfContext;
 use super::{json, transform};
 use crate::SceneError;
 use crate::load::marks::Marks;
@@ -41,7 +41,7 @@ impl Draw {
 /// overflow the call stack. Each node is visited at most once: the format allows it one parent, which also
 /// excludes cycles.
 pub(super) fn walk(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     marks: &mut Marks,
 ) -> Result<Vec<Draw>, SceneError> {
@@ -107,7 +107,7 @@ pub(super) fn walk(
 }
 
 /// The root nodes of the scene.
-fn roots(source: &Source<'_>, root: &json::Root) -> Result<Vec<usize>, SceneError> {
+fn roots(source: &GltfContext<'_>, root: &json::Root) -> Result<Vec<usize>, SceneError> {
     if let Some(scene) = root.scenes.get(root.scene.unwrap_or(0)) {
         return Ok(scene.nodes.clone());
     }

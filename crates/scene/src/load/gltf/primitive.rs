@@ -3,10 +3,10 @@
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::accessor::{Accessor, Accessors};
+use super::accessor::{Accessors, CheckedAccessor};
 use super::alpha::Alpha;
 use super::nodes::Draw;
-use super::source::Source;
+use super::source::GltfContext;
 use super::uses::{Mode, Role, mode, surface};
 use super::{json, transform};
 use crate::load::limits::{EXPORT_AGAIN, REPAIR_VERTEX};
@@ -23,7 +23,7 @@ pub(super) fn label(draw: &Draw, p: usize) -> String {
 
 /// The number of triangles of primitive `p` of the mesh.
 pub(super) fn count(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
     draw: &Draw,
@@ -54,7 +54,7 @@ pub(super) fn count(
 /// Reads the triangles of primitive `p` of the mesh, in world space, into `out`, whose length is that of
 /// [`count`].
 pub(super) fn read(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
     draw: &Draw,
@@ -107,7 +107,7 @@ fn corners_of(mode: Mode, i: u64) -> [u64; 3] {
 /// Adds the texture coordinates of the `count` triangles of primitive `p`, as `alpha` places its texture, to
 /// `out`; zeros without a texture.
 pub(super) fn coordinates(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     accessors: &Accessors<'_>,
     (draw, p, count): (&Draw, usize, u32),
@@ -147,12 +147,12 @@ pub(super) fn coordinates(
 
 /// The corners of a primitive in the order of the indices.
 struct Corners<'a> {
-    source: &'a Source<'a>,
+    source: &'a GltfContext<'a>,
     draw: &'a Draw,
     p: usize,
     position: usize,
-    positions: &'a Accessor<'a>,
-    indices: Option<(usize, &'a Accessor<'a>)>,
+    positions: &'a CheckedAccessor<'a>,
+    indices: Option<(usize, &'a CheckedAccessor<'a>)>,
 }
 
 impl Corners<'_> {
@@ -181,7 +181,7 @@ impl Corners<'_> {
         accessor: usize,
         corner: u64,
         v: u64,
-        indices: &Accessor<'_>,
+        indices: &CheckedAccessor<'_>,
     ) -> SceneError {
         let element = format!(
             "{}, accessor {accessor}, index {corner}",

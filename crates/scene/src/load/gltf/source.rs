@@ -13,7 +13,7 @@ pub(super) const MESHOPT: [&str; 2] = ["KHR_meshopt_compression", "EXT_meshopt_c
 pub(super) const VISIBILITY: &str = "KHR_node_visibility";
 
 /// The context of all parts of the reader.
-pub(super) struct Source<'a> {
+pub(super) struct GltfContext<'a> {
     pub(super) file: &'a str,
     pub(super) base_dir: Option<&'a Path>,
     pub(super) limits: &'a Limits,
@@ -21,7 +21,7 @@ pub(super) struct Source<'a> {
     pub(super) alpha_textures: bool,
 }
 
-impl Source<'_> {
+impl GltfContext<'_> {
     pub(super) fn bad(&self, element: impl Into<String>, reason: impl Into<String>) -> SceneError {
         SceneError::bad(self.file, element, reason, EXPORT_AGAIN)
     }

@@ -3,7 +3,7 @@
 use super::buffers::Buffers;
 use super::component::Component;
 use super::json;
-use super::source::Source;
+use super::source::GltfContext;
 use crate::SceneError;
 
 /// The replaced elements, found by binary search.
@@ -19,7 +19,7 @@ pub(super) struct Overlay<'a> {
 impl<'a> Overlay<'a> {
     /// Checks `sparse`, which replaces elements of `size` bytes in an accessor of `count` elements.
     pub(super) fn new(
-        source: &Source<'_>,
+        source: &GltfContext<'_>,
         root: &json::Root,
         buffers: &'a Buffers<'_>,
         label: &str,

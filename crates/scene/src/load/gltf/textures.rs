@@ -12,7 +12,7 @@ use super::buffers::Buffers;
 use super::images::Document;
 use super::json;
 use super::nodes::Draw;
-use super::source::Source;
+use super::source::GltfContext;
 use super::texels::{self, MOST_TEXELS};
 use super::uses::Role;
 use crate::SceneError;
@@ -38,7 +38,7 @@ pub(super) enum Resolved {
 
 /// The masks that are read so far.
 pub(super) struct Textures<'a> {
-    source: &'a Source<'a>,
+    source: &'a GltfContext<'a>,
     root: &'a json::Root,
     buffers: &'a Buffers<'a>,
     document: &'a Document,
@@ -50,7 +50,7 @@ pub(super) struct Textures<'a> {
 
 impl<'a> Textures<'a> {
     pub(super) fn new(
-        source: &'a Source<'a>,
+        source: &'a GltfContext<'a>,
         root: &'a json::Root,
         buffers: &'a Buffers<'a>,
         document: &'a Document,

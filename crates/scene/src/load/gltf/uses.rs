@@ -3,7 +3,7 @@
 use super::json;
 use super::kinds::{self, Material};
 use super::nodes::Draw;
-use super::source::Source;
+use super::source::GltfContext;
 use crate::SceneError;
 
 /// The uses of an accessor.
@@ -82,7 +82,7 @@ impl std::fmt::Display for User {
 
 /// Every accessor that `draws` need, once for each role, in the order of meshes.
 pub(super) fn uses(
-    source: &Source<'_>,
+    source: &GltfContext<'_>,
     root: &json::Root,
     draws: &[Draw],
     materials: &[Material],

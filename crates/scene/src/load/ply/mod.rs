@@ -25,7 +25,7 @@ pub(super) fn parse(
         SceneError::bad(file, element, fault.reason, EXPORT_AGAIN)
     })?;
     let body = &bytes[header.body..];
-    let mut r = Reader {
+    let mut r = PlyReader {
         file,
         limits,
         vertices: Vec::new(),
@@ -47,14 +47,14 @@ pub(super) fn parse(
 }
 
 /// The state of the reader.
-struct Reader<'a> {
+struct PlyReader<'a> {
     file: &'a str,
     limits: &'a Limits,
     vertices: Vec<Vec3>,
     triangles: Vec<Triangle>,
 }
 
-impl Reader<'_> {
+impl PlyReader<'_> {
     fn bad(&self, at: &str, reason: impl Into<String>, remedy: &str) -> SceneError {
         SceneError::bad(self.file, at, reason, remedy)
     }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::gpu::line_scene::LineScene;
+use crate::gpu::line_scene::DeviceLineScene;
 use crate::gpu::pipelines::{Fault, buffer, entry, scoped_by_kind};
 
 /// Storage buffers that a kernel binds: the scene's six, the block's ten and the lists' fourteen.
@@ -97,7 +97,7 @@ impl Kernels {
     /// What the device reports.
     pub(super) fn new(
         device: &wgpu::Device,
-        scene: &LineScene,
+        scene: &DeviceLineScene,
         (halves, one_way): (bool, bool),
     ) -> Result<Self, Fault> {
         let flags = [("HALVES", halves), ("ONE_WAY", one_way)]
@@ -108,7 +108,7 @@ impl Kernels {
     /// The same with all constants of the shaders.
     pub(super) fn with(
         device: &wgpu::Device,
-        scene: &LineScene,
+        scene: &DeviceLineScene,
         constants: &[(&str, f64)],
     ) -> Result<Self, Fault> {
         let stage = wgpu::ShaderStages::COMPUTE;

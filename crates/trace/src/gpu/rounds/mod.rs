@@ -29,7 +29,7 @@ use memory::{Facts, Lent, Lists, PART_STRIDE, PARTS, Part, Tables};
 use profile::Profile;
 
 use super::device::{Gpu, PATIENCE};
-use super::line_scene::LineScene;
+use super::line_scene::DeviceLineScene;
 use super::locks::lock;
 use super::pipelines::{Fault, scoped_by_kind};
 use crate::error::BackendError;
@@ -57,7 +57,7 @@ pub(super) struct RoundsKit {
 /// A block on the device.
 pub(super) struct GpuRounds<'a> {
     gpu: &'a Gpu,
-    scene: &'a LineScene,
+    scene: &'a DeviceLineScene,
     kit: &'a RoundsKit,
     kernels: Arc<Kernels>,
     tables: Tables,
@@ -128,7 +128,7 @@ impl<'a> GpuRounds<'a> {
     /// [`BackendError::Failed`] when the device does.
     pub(super) fn new(
         gpu: &'a Gpu,
-        scene: &'a LineScene,
+        scene: &'a DeviceLineScene,
         kit: &'a RoundsKit,
         block: &DeviceBlock<'_>,
     ) -> Result<Option<Self>, BackendError> {

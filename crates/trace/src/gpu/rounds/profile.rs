@@ -16,11 +16,11 @@ pub(super) struct Profile {
     pub(super) stamps: wgpu::Buffer,
     /// Nanoseconds of a tick.
     period: f64,
-    state: Mutex<State>,
+    state: Mutex<ProfileState>,
 }
 
 #[derive(Default)]
-struct State {
+struct ProfileState {
     /// The kernels of the phase's runs.
     runs: Vec<Kernel>,
     /// For each kernel ticks and runs.
