@@ -12,7 +12,7 @@ use sightline::{
 
 use crate::errors::{OptionError, from_library, parse};
 use crate::mesh;
-use crate::waiting::wait;
+use crate::runner::wait;
 
 /// The client of a coordinator; it connects for each call.
 #[pyclass(frozen, module = "sightline._sightline")]

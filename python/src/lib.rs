@@ -5,7 +5,7 @@ mod client;
 mod errors;
 mod mesh;
 mod pvs;
-mod waiting;
+mod runner;
 mod work;
 
 use pyo3::prelude::*;

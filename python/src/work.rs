@@ -13,7 +13,7 @@ use sightline::{
 use crate::errors::parse;
 use crate::mesh;
 use crate::pvs::Pvs;
-use crate::waiting::wait;
+use crate::runner::wait;
 
 /// The name of a result in messages.
 const RESULT: &str = "result";

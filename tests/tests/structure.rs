@@ -96,7 +96,7 @@ fn assembly_depends_on_no_tracer_and_no_network() {
 }
 
 #[test]
-fn the_scheduler_knows_no_store_and_no_network() {
+fn scheduler_knows_no_store_or_network() {
     let all = dependencies("sightline-scheduler");
     for foreign in [
         "tokio",

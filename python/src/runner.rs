@@ -1,4 +1,4 @@
-//! Waiting for long work: it runs on another thread, while this one shows its progress and handles Ctrl-C.
+//! Runner of long work: another thread works, while this one shows the progress and handles Ctrl-C.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
