@@ -7,7 +7,7 @@
 //!
 //! Modules depend on each other in one direction: [`services`](serve) translate between gRPC and the subjects
 //! (`jobs`, `workers`, `outputs`, `results`, `uploads`); the subjects decide; below them are the shared
-//! state, the scheduler and the [`store`].
+//! state, the scheduler and the [store](sightline_store).
 //!
 //! ```
 //! use sightline_coordinator::{Config, Coordinator};
