@@ -11,7 +11,7 @@ use sightline_traces::Begun;
 
 use crate::jobs::stored_spec;
 use crate::quota::Usage;
-use crate::records::JobChanges;
+use crate::records::{JobChanges, OutputRemoval};
 use crate::state::Coordinator;
 use crate::telemetry::events::{Kind, LogEvent};
 use crate::telemetry::spans::Cause;
@@ -169,7 +169,11 @@ pub(crate) fn submit(
                 "the result of job {} is lost ({e}); it is baked again",
                 submitted.id
             );
-            c.blobs.remove(&result)?;
+            {
+                let _removal = OutputRemoval::begin(c);
+                c.store.may_change()?;
+                c.blobs.remove(&result)?;
+            }
             changes.delete(submitted.id)?;
             submitted = changes.submit(job)?;
         }

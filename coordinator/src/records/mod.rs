@@ -65,21 +65,25 @@ impl Records {
 
     /// Returns the identity of the store.
     pub(crate) fn identity(&self) -> Result<StoreIdentity, StoreError> {
+        check_store_call();
         self.store.identity()
     }
 
     /// Records a scene whose blob is stored.
     pub(crate) fn record_scene(&self, scene: SceneRecord) -> Result<(), StoreError> {
+        check_store_call();
         self.store.record_scene(scene)
     }
 
     /// Records a stamp of the clock of retention.
     pub(crate) fn stamp_retention(&self, stamp: RetentionStamp) -> Result<(), StoreError> {
+        check_store_call();
         self.store.stamp_retention(stamp)
     }
 
     /// Reports the durations of durable writes.
     pub(crate) fn report_syncs(&self, metrics: &Metrics) {
+        check_store_call();
         self.store.report_syncs(metrics.syncs());
     }
 }

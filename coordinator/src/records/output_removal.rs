@@ -8,8 +8,8 @@ use sightline_store::StoreError;
 use crate::locks::{Rank, Ranked, ranked};
 use crate::state::Coordinator;
 
-/// The removal of outputs, under the exclusive lock of outputs: no output is committed in the meantime. Only
-/// this type removes blobs of outputs and results.
+/// The removal of outputs, under the exclusive lock of outputs: no output is committed in the meantime. Code
+/// that removes blobs of outputs or results holds one.
 pub(crate) struct OutputRemoval<'c> {
     c: &'c Coordinator,
     _exclusive: Ranked<RwLockWriteGuard<'c, ()>>,
