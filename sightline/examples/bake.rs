@@ -22,8 +22,8 @@ impl Observer for Print {
     }
 }
 
-/// Bakes a scene file into a result file.
-pub fn bake_file(scene: &Path, output: &Path) -> Result<Pvs, Error> {
+/// Bakes a scene file in this process.
+pub fn bake_file(scene: &Path, local: &Local) -> Result<Pvs, Error> {
     let source = SceneSource::File(scene.to_owned());
     let scene = read_scene(&source, &LoadOptions::default(), &Print)?;
     let options = JobOptions {
@@ -31,11 +31,7 @@ pub fn bake_file(scene: &Path, output: &Path) -> Result<Pvs, Error> {
         ..JobOptions::default()
     };
     let job = options.resolve(&scene, &Print)?;
-    let local = Local {
-        output: Some(output.to_owned()),
-        ..Local::default()
-    };
-    Ok(sightline::bake(&scene, &job, &local, &Print)?.pvs)
+    Ok(sightline::bake(&scene, &job, local, &Print)?.pvs)
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -43,7 +39,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let [_, scene, output] = arguments.as_slice() else {
         return Err("usage: bake SCENE OUT.pvs".into());
     };
-    let pvs = bake_file(Path::new(scene), Path::new(output))?;
+    let local = Local {
+        output: Some(output.into()),
+        ..Local::default()
+    };
+    let pvs = bake_file(Path::new(scene), &local)?;
     let [min, max] = pvs.tree().view_box();
     let middle = std::array::from_fn(|axis| f32::midpoint(min[axis], max[axis]));
     let mut triangles = Vec::new();

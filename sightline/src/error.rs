@@ -93,6 +93,11 @@ impl Error {
         Self::new(ErrorKind::Internal, e.to_string())
     }
 
+    /// Creates the error of an input file that cannot be read.
+    pub fn reading(path: &Path, e: &std::io::Error) -> Self {
+        Self::input(format!("{}: cannot be read: {e}", path.display()))
+    }
+
     /// Creates the error of an output file that cannot be written.
     pub fn writing(path: &Path, e: &std::io::Error) -> Self {
         Self::internal(format!(
@@ -101,7 +106,7 @@ impl Error {
         ))
     }
 
-    /// Returns the error with the option that it is about, a field of [`crate::JobOptions`].
+    /// Returns the error with the option that it is about, as the command line spells it, without dashes.
     pub fn about(self, option: &'static str) -> Self {
         Self {
             option: Some(option),

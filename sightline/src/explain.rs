@@ -1,6 +1,7 @@
 //! Reasons why triangles are visible from a cell or hidden: the reasons that a result stores, or new queries.
 
 use std::cell::OnceCell;
+use std::path::Path;
 
 use glam::Vec3;
 use serde_json::{Value, json};
@@ -15,7 +16,7 @@ use sightline_scene::{Aabb, Scene, overlap};
 
 use crate::error::Error;
 use crate::observer::Observer;
-use crate::result::{NamedResult, without_masks};
+use crate::result::{NamedResult, check_scene, without_masks};
 use crate::viewpoints::{region_of_result, walls_of};
 
 /// A function that receives the answer about a triangle, and returns true to continue with the next one.
@@ -37,7 +38,8 @@ pub type Each<'a> = dyn FnMut(u32, Value) -> Result<bool, Error> + 'a;
 ///
 /// # Errors
 /// [`crate::ErrorKind::Usage`] for a cell or triangle that does not exist, [`crate::ErrorKind::Input`] for a
-/// result without certificates, if there is no scene, and for scenes with culled back faces.
+/// result without certificates, if there is no scene, for another scene than that of the result, and for
+/// scenes with culled back faces; [`crate::ErrorKind::Cancelled`].
 pub fn explain(
     result: NamedResult<'_>,
     scene: Option<&Scene>,
@@ -59,8 +61,13 @@ pub fn explain(
     };
     match scene {
         Some(scene) => {
+            check_scene(scene, Path::new("the scene"), result)?;
             let stop = || observer.is_cancelled();
             explain_by_query(result, scene, (cell, &[triangle]), &stop, &mut each)?;
+            // The query ended early, so its answer is not one.
+            if observer.is_cancelled() {
+                return Err(Error::cancelled("interrupted; nothing is known yet"));
+            }
         }
         None => explain_by_certificates(result, (cell, &[triangle]), &mut each)?,
     }

@@ -135,7 +135,7 @@ pub fn measure(
     // Before the first use of the thread pool.
     use_threads(threads(None))?;
     // Errors that do not need the scene are found before it is read.
-    let places = ExactViewRegion::read(result, options)?;
+    let places = MeasuredViewpoints::read(result, options)?;
     if !(8..=4096).contains(&options.resolution) {
         return Err(Error::usage(format!(
             "--resolution {} is not between 8 and 4096",
@@ -169,11 +169,11 @@ pub fn measure_in(
     options: &MeasureOptions,
     observer: &dyn Observer,
 ) -> Result<MeasureReport, Error> {
-    measure_at(ExactViewRegion::Random, result, scene, options, observer)
+    measure_at(MeasuredViewpoints::Random, result, scene, options, observer)
 }
 
 /// The viewpoints of a measurement.
-enum ExactViewRegion {
+enum MeasuredViewpoints {
     /// Random viewpoints in the cells.
     Random,
     /// A camera path.
@@ -182,7 +182,7 @@ enum ExactViewRegion {
     File(PathBuf, Vec<Weighted>),
 }
 
-impl ExactViewRegion {
+impl MeasuredViewpoints {
     /// Reads the files of the options.
     fn read(result: NamedResult<'_>, options: &MeasureOptions) -> Result<Self, Error> {
         if let Some(path) = &options.path {
@@ -208,7 +208,7 @@ impl ExactViewRegion {
 
 /// Measures a result at viewpoints.
 fn measure_at(
-    places: ExactViewRegion,
+    places: MeasuredViewpoints,
     result: NamedResult<'_>,
     scene: Arc<Scene>,
     options: &MeasureOptions,
@@ -224,17 +224,17 @@ fn measure_at(
     };
     let (count, seed) = (options.viewpoints, options.seed);
     let views = match &places {
-        ExactViewRegion::Path(views) => views.clone(),
-        ExactViewRegion::File(file, all) => {
+        MeasuredViewpoints::Path(views) => views.clone(),
+        MeasuredViewpoints::File(file, all) => {
             select(result, options, (file, all), &is_place, observer)?
         }
-        ExactViewRegion::Random
+        MeasuredViewpoints::Random
             if region.is_none() && (0..pvs.cells()).all(|c| pvs.is_reached(c).unwrap_or(true)) =>
         {
             Viewpoints::random(count, seed, view_box)
         }
         // Viewpoints are only in some of the cells, or in a region.
-        ExactViewRegion::Random => Viewpoints::random_where(count, seed, view_box, is_place),
+        MeasuredViewpoints::Random => Viewpoints::random_where(count, seed, view_box, is_place),
     };
     // The frames of a result whose lines end at a distance end there, too.
     let info = result.info();

@@ -35,14 +35,12 @@ impl TraceOptions {
         let Some(url) = self.url.as_ref().filter(|url| !url.is_empty()) else {
             return Ok(Traces::default());
         };
-        let read = |path: &PathBuf| {
-            std::fs::read(path)
-                .map_err(|e| Error::input(format!("{}: cannot be read: {e}", path.display())))
-        };
         let ca = self.ca.as_ref().filter(|path| !path.as_os_str().is_empty());
         let settings = Settings {
             url: url.clone(),
-            ca: ca.map(read).transpose()?,
+            ca: ca
+                .map(|path| std::fs::read(path).map_err(|e| Error::reading(path, &e)))
+                .transpose()?,
             service,
             instance: name.to_owned(),
         };

@@ -35,6 +35,17 @@ fn examples_bake_bytes_of_command() {
     sandbox.ok("bake rooms.glb --cells 4x2x4 --backend cpu -o command.pvs --data-dir command");
     let expected = sandbox.read("command.pvs");
 
+    let local = sightline::Local {
+        output: Some(path("local.pvs")),
+        data_dir: Some(path("local")),
+        ..Default::default()
+    };
+    bake::bake_file(&path("rooms.glb"), &local).unwrap();
+    assert!(
+        sandbox.read("local.pvs") == expected,
+        "the library's bytes differ"
+    );
+
     let coordinator = sandbox.coordinator("farm", "127.0.0.1:0");
     let _worker = coordinator.worker();
     let job = submit::bake_at(&coordinator.url, &path("rooms.glb"), &path("farm.pvs")).unwrap();
@@ -75,6 +86,64 @@ fn example_measures_verifies_and_explains() {
     assert_eq!((frames.report.frames, frames.report.max_error), (20, 0.0));
     let state = checked.reason["state"].as_str().unwrap();
     assert!(["visible", "hidden"].contains(&state), "{}", checked.reason);
+}
+
+#[test]
+fn explain_rejects_another_scene() {
+    let sandbox = rooms();
+    sandbox.ok("generate rooms --triangles 300 -o other.glb");
+    sandbox.ok("bake rooms.glb --cells 2x1x1 --backend cpu -o rooms.pvs --data-dir data");
+    let (file, path) = (sandbox.path("other.glb"), sandbox.path("rooms.pvs"));
+    let source = sightline::SceneSource::File(file);
+    let other = sightline::read_scene(&source, &Default::default(), &sightline::Silent).unwrap();
+    let pvs = sightline::open(&path).unwrap();
+    let result = sightline::NamedResult::new(&pvs, &path);
+    let last = pvs.triangle_count() - 1;
+    let error =
+        sightline::explain(result, Some(&other), (0, last), &sightline::Silent).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    assert!(error.to_string().contains("another scene"), "{error}");
+}
+
+#[test]
+fn cancelled_explain_returns_no_answer() {
+    let sandbox = rooms();
+    sandbox.ok("bake rooms.glb --cells 2x1x1 --backend cpu -o rooms.pvs --data-dir data");
+    let path = sandbox.path("rooms.pvs");
+    let source = sightline::SceneSource::File(sandbox.path("rooms.glb"));
+    let scene = sightline::read_scene(&source, &Default::default(), &sightline::Silent).unwrap();
+    let pvs = sightline::open(&path).unwrap();
+    let result = sightline::NamedResult::new(&pvs, &path);
+    let error = sightline::explain(result, Some(&scene), (0, 0), &Cancels).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Cancelled);
+}
+
+#[test]
+fn resolve_rejects_numbers_out_of_range_and_cancels() {
+    let sandbox = rooms();
+    let source = sightline::SceneSource::File(sandbox.path("rooms.glb"));
+    let scene = sightline::read_scene(&source, &Default::default(), &sightline::Silent).unwrap();
+    let rejected = |json: &str| {
+        let options: sightline::JobOptions = serde_json::from_str(json).unwrap();
+        let error = options.resolve(&scene, &sightline::Silent).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Usage, "{error}");
+        error.option()
+    };
+    let heights = r#"{"eye_heights": [1.8, 1.2], "view_mesh": "absent.glb"}"#;
+    assert_eq!(rejected(heights), Some("eye-heights"));
+    let reach = r#"{"reach": -1.0, "viewpoints": "absent.txt"}"#;
+    assert_eq!(rejected(reach), Some("reach"));
+
+    let options = sightline::JobOptions {
+        cells: Some(sightline::Cells::Walls(64)),
+        viewpoints: sightline::ViewpointOptions {
+            reachable_from: vec![[2.0, 1.5, 2.0]],
+            ..Default::default()
+        },
+        ..Default::default()
+    };
+    let error = options.resolve(&scene, &Cancels).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Cancelled, "{error}");
 }
 
 /// An observer that cancels at once.

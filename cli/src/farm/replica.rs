@@ -117,10 +117,7 @@ pub async fn serve(
 fn peers(args: &CoordinatorArgs, own: &str) -> Result<Credentials, Error> {
     let ca = match &args.store.peer_ca {
         None => None,
-        Some(path) => Some(
-            std::fs::read(path)
-                .map_err(|e| Error::input(format!("{}: cannot be read: {e}", path.display())))?,
-        ),
+        Some(path) => Some(std::fs::read(path).map_err(|e| Error::reading(path, &e))?),
     };
     let credentials = Credentials {
         ca,

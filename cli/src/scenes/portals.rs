@@ -50,7 +50,7 @@ pub fn run(args: &PortalsArgs, json: bool) -> Result<(), Error> {
     if args.reachable_from.is_empty() {
         return enclosed_spaces(args, &scene, output.as_ref(), json);
     }
-    let walls = Walls::around(&scene, &args.reachable_from, &Terminal::new());
+    let walls = Walls::around(&scene, &args.reachable_from, &Terminal::new())?;
     // What is outside the scene's box is no part of it.
     let inside: Vec<LeafId> = walls
         .reached
@@ -126,7 +126,7 @@ fn enclosed_spaces(
         if closed.iter().any(known) {
             continue;
         }
-        match refine(&mut tree, &[point], &terminal) {
+        match refine(&mut tree, &[point], &terminal)? {
             Enclosure::Closed => closed.push((point, reached(&tree, &[point]))),
             Enclosure::Leak(..) => {}
             Enclosure::Unknown | Enclosure::Stopped => unknown += 1,

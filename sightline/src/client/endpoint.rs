@@ -128,10 +128,7 @@ impl CredentialFiles {
     /// [`crate::ErrorKind::Input`] for a file that cannot be read, [`crate::ErrorKind::Usage`] for text that
     /// is not a token, and for a certificate without its key.
     pub fn read(&self) -> Result<Credentials, Error> {
-        let read = |path: &PathBuf| {
-            std::fs::read(path)
-                .map_err(|e| Error::input(format!("{}: cannot be read: {e}", path.display())))
-        };
+        let read = |path: &PathBuf| std::fs::read(path).map_err(|e| Error::reading(path, &e));
         let ca = self.ca.as_ref().map(read).transpose()?;
         let identity = match (&self.cert, &self.key) {
             (Some(cert), Some(key)) => Some((read(cert)?, read(key)?)),

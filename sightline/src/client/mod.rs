@@ -107,7 +107,7 @@ impl Client {
             tokio::select! {
                 done = work => done,
                 () = cancelled(observer) => Err(Error::cancelled(
-                    "interrupted; the job continues at the coordinator",
+                    "interrupted; submitted jobs continue at the coordinator",
                 )),
             }
         })

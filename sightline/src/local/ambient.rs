@@ -18,7 +18,8 @@ use crate::observer::{Observer, cancelled, note};
 use crate::process::runtime;
 
 /// Computes the ambient occlusion of receivers in this process. Finished tiles are kept in the data
-/// directory, so that the same call continues after an interruption. [`OrderedReceivers`] has an example.
+/// directory, so that the same call continues after an interruption. The call does not use `output` and
+/// `traces` of `local`. [`OrderedReceivers`] has an example.
 ///
 /// # Errors
 /// [`crate::ErrorKind::Input`] for a data directory that cannot be used, [`crate::ErrorKind::Job`] for a job

@@ -126,9 +126,10 @@ impl JobOptions {
     /// # Errors
     /// [`crate::ErrorKind::Usage`] with the option that is out of its range, that the job cannot use, or that
     /// does not suit the scene; [`crate::ErrorKind::Input`] for files of viewpoints, and for a scene that a
-    /// tracer cannot represent.
+    /// tracer cannot represent; [`crate::ErrorKind::Cancelled`].
     pub fn resolve(&self, scene: &Arc<Scene>, observer: &dyn Observer) -> Result<JobSpec, Error> {
         let numbers = self.numbers()?;
+        self.viewpoints.check()?;
         self.note_unused(observer)?;
         let method = self.method.unwrap_or_default();
         // Where no graphics card is found, auto means Embree.

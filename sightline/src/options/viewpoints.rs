@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use sightline_model::Up;
 use sightline_scene::Aabb;
 
+use crate::error::Error;
+
 /// The options that restrict where viewpoints can be. Positions are in world space, in the scene's units.
 ///
 /// ```
@@ -58,6 +60,32 @@ pub struct ViewpointOptions {
     /// result stores it. Default: y.
     #[cfg_attr(feature = "clap", arg(long, value_parser = super::arguments::named::<Up>()))]
     pub up: Option<Up>,
+}
+
+impl ViewpointOptions {
+    /// Checks the numbers, which structs and JSON can hold in any range.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Usage`] with the option that is out of its range.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        if let Some([low, high]) = self.eye_heights
+            && !(low.is_finite() && high.is_finite() && low <= high)
+        {
+            return Err(Error::usage(format!(
+                "--eye-heights {low},{high}: give the least and the greatest height as in 1.2,1.8"
+            ))
+            .about("eye-heights"));
+        }
+        if let Some(reach) = self.reach
+            && !(reach.is_finite() && reach > 0.0)
+        {
+            return Err(
+                Error::usage(format!("--reach {reach}: give a length above 0, as in 2.5"))
+                    .about("reach"),
+            );
+        }
+        Ok(())
+    }
 }
 
 /// Boxes as six numbers each, for serde.

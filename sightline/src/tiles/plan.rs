@@ -77,7 +77,7 @@ fn bind_profile(
     };
     let probed = Backends::probe(selected, AdapterChoice::default());
     note_missing(&probed, observer)?;
-    let loaded = TracedScene::new(Arc::clone(scene)).map_err(Error::internal)?;
+    let loaded = TracedScene::new(Arc::clone(scene))?;
     let time = || time_profiles(&probed, &loaded, job, "");
     choose_profile(choice, &probed.profiles(), time).ok_or_else(|| {
         Error::internal(format!(

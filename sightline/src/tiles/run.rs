@@ -129,7 +129,7 @@ fn compute(
     observer: &dyn Observer,
 ) -> Result<TileDone, Error> {
     let scene = Arc::new(bake.scene()?);
-    let loaded = TracedScene::new(scene).map_err(Error::internal)?;
+    let loaded = TracedScene::new(scene)?;
     let tracer = match bake.task()?.sampling() {
         Some(sampling) => {
             let backends = Backends::probe(selection(&bake.profile), AdapterChoice::default());

@@ -85,7 +85,7 @@ impl ViewpointOptions {
                     .map(drop)
                     .map_err(of_seeds)
             })?;
-            let walls = Walls::around(scene, &self.reachable_from, observer);
+            let walls = Walls::around(scene, &self.reachable_from, observer)?;
             note(observer, walls.in_words());
             region = walls.region()?;
             if walls.is_open() {
@@ -271,7 +271,7 @@ impl ViewpointOptions {
                      --reachable-from are in parts of cells that rays find, not between walls",
                 );
             } else {
-                let walls = Walls::around(scene, &self.reachable_from, observer);
+                let walls = Walls::around(scene, &self.reachable_from, observer)?;
                 note(observer, walls.in_words());
                 region = walls.region()?;
             }

@@ -29,15 +29,22 @@ pub struct Walls {
 
 impl Walls {
     /// Divides a scene until it is known whether walls enclose the points.
-    pub fn around(scene: &Scene, points: &[[f32; 3]], observer: &dyn Observer) -> Self {
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Cancelled`].
+    pub fn around(
+        scene: &Scene,
+        points: &[[f32; 3]],
+        observer: &dyn Observer,
+    ) -> Result<Self, Error> {
         let mut tree = Tree::new(scene, points);
-        let enclosure = refine(&mut tree, points, observer);
+        let enclosure = refine(&mut tree, points, observer)?;
         let reached = reached(&tree, points);
-        Self {
+        Ok(Self {
             tree,
             reached,
             enclosure,
-        }
+        })
     }
 
     /// Whether a way leads out.
@@ -45,7 +52,7 @@ impl Walls {
         matches!(self.enclosure, Enclosure::Leak(..))
     }
 
-    /// The enclosed region; `None` when there is a way out.
+    /// Returns the enclosed region; `None` when there is a way out, or when it is not known.
     pub fn region(&self) -> Result<Option<Region>, Error> {
         if self.enclosure != Enclosure::Closed {
             return Ok(None);
@@ -98,18 +105,29 @@ impl Walls {
 }
 
 /// Divides a tree further, until it is known whether walls enclose the points.
-pub fn refine(tree: &mut Tree, points: &[[f32; 3]], observer: &dyn Observer) -> Enclosure {
+///
+/// # Errors
+/// [`crate::ErrorKind::Cancelled`].
+pub fn refine(
+    tree: &mut Tree,
+    points: &[[f32; 3]],
+    observer: &dyn Observer,
+) -> Result<Enclosure, Error> {
     let limits = Limits::default();
     let mut told = Instant::now();
-    enclose(tree, points, limits, &mut |leaves| {
+    let enclosure = enclose(tree, points, limits, &mut |leaves| {
         if told.elapsed() >= TELL_EVERY {
             told = Instant::now();
             let most = limits.leaves;
             let text = format!("looking for walls: {leaves} parts of space so far, at most {most}");
             note(observer, text);
         }
-        true
-    })
+        !observer.is_cancelled()
+    });
+    match enclosure {
+        Enclosure::Stopped => Err(Error::cancelled("interrupted")),
+        enclosure => Ok(enclosure),
+    }
 }
 
 /// A number with few digits; a very small one with its power of ten.
