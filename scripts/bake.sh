@@ -41,7 +41,7 @@ cd "$(dirname "$0")/.."
 ./scripts/setup.sh --for run
 command -v cargo >/dev/null || . "$HOME/.cargo/env"
 
-say 'building (about a quarter of an hour the first time, on two cores)'
+say 'building (six or seven minutes the first time, on two cores)'
 cargo build --profile dist --locked
 sightline=$(realpath "${CARGO_TARGET_DIR:-target}")/dist/sightline
 
