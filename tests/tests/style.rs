@@ -13,8 +13,10 @@ use std::process::Command;
 
 /// The limit of functions named `of`.
 const FUNCTIONS: usize = 72;
-/// The limit of variables named `of`.
+/// The limit of variables of `let` named `of`.
 const VARIABLES: usize = 0;
+/// The limit of variables of loops and closures named `of`.
+const INNER_VARIABLES: usize = 63;
 /// The limit of parameters that are tuple patterns.
 const TUPLES: usize = 159;
 /// The number of type names that more than one file of a crate declares.
@@ -174,6 +176,15 @@ fn functions_have_names() {
 fn variables_are_nouns() {
     check("variables are named `of`", VARIABLES, |text| {
         count_words(text, ["let", "of"])
+    });
+}
+
+#[test]
+fn variables_of_loops_and_closures_are_nouns() {
+    check("variables are named `of`", INNER_VARIABLES, |text| {
+        let closures = ["|of|", "|of:", "|of,", ", of|"];
+        let parameters: usize = closures.iter().map(|c| text.matches(c).count()).sum();
+        count_words(text, ["for", "of"]) + parameters
     });
 }
 
