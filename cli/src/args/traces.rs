@@ -28,7 +28,7 @@ pub struct TraceArgs {
 }
 
 impl TraceArgs {
-    /// Returns the options as those of the library.
+    /// Returns the options for the library.
     pub fn options(&self) -> TraceOptions {
         TraceOptions {
             url: self.traces.clone(),

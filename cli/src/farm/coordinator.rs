@@ -165,7 +165,7 @@ async fn listen(args: &CoordinatorArgs, is_encrypted: bool) -> Result<Listening,
     })
 }
 
-/// The place of blobs that a text names.
+/// Returns the place of blobs that a text names.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Usage`].

@@ -10,7 +10,7 @@ use crate::args::remote::InvalidateArgs;
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Has tiles computed again whose results are not believed any more.
+/// Makes the coordinator compute tiles again whose results are no longer trusted.
 pub fn run(args: &InvalidateArgs, json: bool) -> Result<(), Error> {
     if let (Some(since), Some(until)) = (args.since, args.until)
         && since <= until

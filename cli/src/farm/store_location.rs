@@ -25,7 +25,7 @@ pub enum StorePlace {
 }
 
 impl StorePlace {
-    /// The place that the arguments name. No error repeats the address, which may hold a password.
+    /// Returns the place that the arguments name. No error repeats the address, which may hold a password.
     ///
     /// # Errors
     /// [`sightline::ErrorKind::Usage`].
@@ -49,7 +49,7 @@ impl StorePlace {
         Ok(place)
     }
 
-    /// The place that a text names; `ca` is the authority of a database's certificate.
+    /// Returns the place that a text names; `ca` is the authority of a database's certificate.
     ///
     /// # Errors
     /// [`sightline::ErrorKind::Usage`].

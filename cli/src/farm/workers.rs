@@ -11,7 +11,7 @@ use crate::args::remote::{RemoteArgs, WorkersArgs};
 use crate::terminal::progress::Terminal;
 use crate::terminal::stdout::print;
 
-/// Lists the connected workers and those that are quarantined, or releases one.
+/// Lists the connected and the quarantined workers, or releases one.
 pub fn run(args: &WorkersArgs, json: bool) -> Result<(), Error> {
     if let Some(worker) = &args.release {
         return release(&args.remote, worker, json);
@@ -54,7 +54,7 @@ fn release(remote: &RemoteArgs, worker: &str, json: bool) -> Result<(), Error> {
     print(&format!("worker {worker} may work again"))
 }
 
-/// A duration of milliseconds, in words.
+/// Returns a duration of milliseconds in words.
 fn millis(ms: u64) -> String {
     human(Duration::from_millis(ms))
 }

@@ -77,7 +77,7 @@ pub struct Decided {
     pub evidence_bytes: u64,
 }
 
-/// Sums what exact queries decided over all cells.
+/// Sums the decisions of exact queries over all cells.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -113,8 +113,8 @@ pub fn decided(pvs: &Pvs) -> Result<Decided, Error> {
     })
 }
 
-/// The number of cells whose sampling ended before they reached their target, and the number of cells with a
-/// per-cell tolerance above the target error.
+/// Returns the number of cells whose sampling ended before they reached their target, and the number of cells
+/// with a per-cell tolerance above the target error.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -128,7 +128,7 @@ pub fn unfinished_and_spared(pvs: &Pvs) -> Result<[usize; 2], Error> {
     Ok(["unfinished", "spared"].map(count))
 }
 
-/// The bounds of a result, if it has any.
+/// Returns the bounds of a result, if it has any.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -136,8 +136,8 @@ pub fn bounds(pvs: &Pvs) -> Result<Option<Bounds>, Error> {
     bounds_of(pvs, OF_TRIANGLES)
 }
 
-/// The bounds on the fraction of sight lines that cross a cell which is no pair with their own, if there are
-/// any.
+/// Returns the bounds on the fraction of sight lines that cross a cell without a pair with their own cell, if
+/// there are any.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -182,7 +182,7 @@ pub fn maps(pvs: &Pvs) -> Result<Vec<Map>, Error> {
     ])
 }
 
-/// The bound of each cell on the fraction of sight lines it misses, where it has one.
+/// Returns the bound of each cell on the fraction of sight lines it misses, where it has one.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -193,7 +193,7 @@ pub fn bounds_of_cells(pvs: &Pvs) -> Result<Vec<Option<f64>>, Error> {
         .collect())
 }
 
-/// A JSON array with one object per cell.
+/// Returns a JSON array with one object per cell.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.
@@ -216,7 +216,7 @@ pub fn json(pvs: &Pvs) -> Result<Value, Error> {
     Ok(cells.into())
 }
 
-/// The cells that took the most rays, as a table.
+/// Returns the cells with the most rays, as a table.
 ///
 /// # Errors
 /// [`sightline::ErrorKind::Input`] when the result cannot be read.

@@ -22,7 +22,7 @@ pub const MAX_FAILURES: usize = 8;
 pub const MAX_REASONS: usize = 4;
 /// Longest name of an owner, in bytes, and of the user of a job that has an owner.
 pub const MAX_OWNER_BYTES: usize = 32;
-/// Most users who may own a scene.
+/// Maximum number of users who own one scene.
 pub const MAX_OWNERS: usize = 24;
-/// Most tiles a job may have.
+/// Maximum number of tiles of a job.
 pub const MAX_TILES: u32 = 1 << 20;

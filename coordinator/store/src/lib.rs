@@ -1,11 +1,11 @@
-//! The persistent state of a coordinator: records of scenes, jobs, tiles and the epoch, and blobs beside
-//! them.
+//! The persistent state of a coordinator: records of scenes, jobs, tiles and the epoch, and their
+//! blobs.
 //!
-//! The records are small; everything large (scenes, packs, tile results, `.pvs` files) lies beside them as
+//! The records are small; everything large (scenes, packs, tile results, `.pvs` files) is in
 //! content-addressed files ([`Blobs`]). A record may name a blob by its digest: write the blob first.
-//! Commands are atomic, and durable when they return. Totals are derived from tile states, never kept beside
-//! them. The store does not depend on leases, connections of workers, plans or clocks: callers pass the time
-//! in.
+//! Commands are atomic, and durable when they return. Totals are derived from tile states, never
+//! stored. The store does not depend on leases, connections of workers, plans or clocks: callers pass the
+//! time in.
 //!
 //! All calls block (for about one disk sync when they change anything): call them off the async threads.
 

@@ -1,12 +1,12 @@
-//! How wrong a result looks: the error measures of Nirenstein and Blake 2004, section 7.2.
+//! The visible error of a result: the error measures of Nirenstein and Blake 2004, section 7.2.
 //!
 //! From many viewpoints, all around, the whole scene is drawn with triangle ids (a visibility cube). A pixel
 //! is *wrong* when its triangle, or a see-through triangle in front of that, is not in the visible set of the
-//! viewpoint's cell: drawing the set alone would show something else there. Sky is never wrong. Wrong pixels
+//! viewpoint's cell: an image of only the set would differ there. Sky is never wrong. Wrong pixels
 //! that touch form regions, since an eye forgives scattered pixels sooner than a hole.
 //!
-//! This crate draws nothing itself (a [`sightline_trace::CubeRenderer`] does) and judges the image, not
-//! the set: a triangle that is in a set without need costs time when drawn, and is no error here.
+//! This crate does not draw (a [`sightline_trace::CubeRenderer`] does), and judges the image, not
+//! the set: a triangle that is in a set without need costs time when drawn, and is not an error here.
 //!
 //! ```no_run
 //! use std::sync::Arc;

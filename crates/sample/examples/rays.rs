@@ -1,5 +1,5 @@
-//! Tells where the rays of a bake go: by kind and round, by what is known of a candidate, and of what
-//! held-out lines still meet, what could have found it.
+//! Counts the rays of a bake by kind, by round and by the knowledge about a candidate. For the hits of
+//! held-out lines it counts the kinds of line that could have found them.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sample --example rays -- SCENE 8x8x8 0.0003

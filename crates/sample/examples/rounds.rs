@@ -1,12 +1,12 @@
-//! Whole rounds of sight lines on the device beside those on the CPU: time, rays, error and bytes over the
-//! bus.
+//! Whole rounds of sight lines on the device, compared with those on the CPU: time, rays, error and bytes
+//! over the bus.
 //!
 //! ```sh
 //! cargo run --release -p sightline-sample --example rounds -- SCENE 8x8x8 0.003 0.0003
 //! ```
 //!
 //! Samples the cells as one tile with the default sampler, all triangles opaque, first with Embree on all
-//! threads, then on the best adapter, and prints a table in Markdown. Seconds are those of the rounds alone:
+//! threads, then on the best adapter, and prints a table in Markdown. Seconds are for the rounds only:
 //! scene, hierarchy and kernels are ready before. The error is the part of 2000 held-out lines from each cell
 //! that meet a triangle which the cell lacks, traced by the same backend. The last column has how often the
 //! host waited for the device, and the seconds of that.

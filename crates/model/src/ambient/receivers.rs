@@ -86,7 +86,7 @@ pub struct ReceiverSettings {
 /// The receivers of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Receivers {
-    /// Their settings.
+    /// The settings of all receivers.
     pub settings: ReceiverSettings,
     /// How many receivers each block has, 1 to [`MOST_BLOCK`]. A block's receivers share a partition of rays.
     pub blocks: Vec<u32>,

@@ -5,7 +5,7 @@
 //! the chance that any of a cell's bounds is wrong stays below α.
 //!
 //! The limit stays our own code: the crate `statrs` inverts the beta distribution to its own tolerance,
-//! and these bounds stand in result files, whose bytes would change with its version.
+//! and result files contain these bounds, so their bytes would change with its version.
 
 use crate::statistics::CellStats;
 

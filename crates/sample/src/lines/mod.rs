@@ -9,7 +9,7 @@
 //! enough; [`bound`] then computes a bound from held-out lines.
 //!
 //! A result does not depend on the number or timing of threads: every decision reads the state of the last
-//! barrier or the finds of its own cell.
+//! barrier or the triangles that its cell newly found.
 
 mod adaptive;
 pub mod block;

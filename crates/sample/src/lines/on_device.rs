@@ -1,8 +1,9 @@
 //! The phases of a block whose rounds a device casts by itself ([`sightline_trace::lines::device`]).
 //!
-//! To the crew such a phase is one item: whoever computes it hands its finds to the others, as with any item.
-//! The device's table goes along with the block's: it holds what the phase found when the phase ends, and is
-//! made anew where somebody else has computed the phase.
+//! To the crew such a phase is one item: the member that computes it gives the newly found triangles to the
+//! others, as with any item. The device's table follows that of the block: at the end of a phase it contains
+//! the triangles that the phase found, and the device makes it again if another member has computed the
+//! phase.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};

@@ -107,7 +107,8 @@ fn meeting(work: &Work<'_>, within: &CellBox, block: &Block<'_>) {
         });
 }
 
-/// The triangles seen from each cell, ascending; indexed by [`sightline_trace::lines::grid::Slot::index`].
+/// Returns the triangles seen from each cell, ascending; indexed by
+/// [`sightline_trace::lines::grid::Slot::index`].
 pub fn columns(block: &Block<'_>) -> Vec<Vec<u32>> {
     let words = block.grid().words() as u32;
     (0..words)

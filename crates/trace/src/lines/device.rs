@@ -1,10 +1,10 @@
-//! What a device does with a block when it casts whole rounds by itself: the interface between the rounds of
+//! Devices that cast whole rounds of a block by themselves: the interface between the rounds of
 //! lines and the backends that have such a device.
 //!
 //! The device keeps the block's table. It makes the lines of a phase, traces them, credits the cells and
-//! counts; only new words of the table and a few numbers a cell come back. Decisions stay with
+//! counts; only new words of the table and a few numbers per cell come back. Decisions stay with
 //! the rounds of the sampler: which cells are open, how many lines each gets, when it is done. The random
-//! numbers are the device's own, so a profile with such a device has results of its own.
+//! numbers are the device's own, so a profile with such a device has its own results.
 
 use glam::Vec3;
 use sightline_scene::Scene;

@@ -29,8 +29,8 @@ impl Tally {
     /// Number of [`Self::numbers`].
     pub const NUMBERS: usize = 3 * DECADES;
 
-    /// The tally of a device: for each decade the tries, the gains in parts of the decade's middle and of
-    /// `gain_unit`, and the attempts before in 256ths.
+    /// Creates the tally from counts of a device: for each decade the tries, the gains in parts of the
+    /// decade's middle and of `gain_unit`, and the attempts before in 256ths.
     pub fn of_device(decades: [[u64; 3]; DECADES], gain_unit: f64) -> Self {
         // Both units are powers of two, so the number is exact while it fits.
         let gain = |g: u64| g.wrapping_mul((gain_unit / GAIN_UNIT) as u64);
@@ -41,7 +41,7 @@ impl Tally {
         }))
     }
 
-    /// Both tallies in one.
+    /// Returns the sum of both tallies.
     #[must_use]
     pub fn and(&self, other: &Self) -> Self {
         let (mut all, more) = (self.numbers(), other.numbers());
@@ -51,7 +51,7 @@ impl Tally {
         Self::from_numbers(all)
     }
 
-    /// All counts, in a fixed order.
+    /// Returns all counts, in a fixed order.
     pub fn numbers(&self) -> [u64; Self::NUMBERS] {
         let mut all = [0; Self::NUMBERS];
         for (n, c) in self.0.iter().enumerate() {
@@ -60,7 +60,7 @@ impl Tally {
         all
     }
 
-    /// The tally of [`Self::numbers`].
+    /// Creates the tally from the result of [`Self::numbers`].
     pub fn from_numbers(numbers: [u64; Self::NUMBERS]) -> Self {
         Self(std::array::from_fn(|n| {
             let [tries, gain, before] = [0, 1, 2].map(|k| numbers[3 * n + k]);
